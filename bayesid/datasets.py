@@ -37,20 +37,11 @@ _RECIPES = b"1"  # counts changes of what is made of the files
 
 @dataclass(frozen=True)
 class RemoteFile:
-    """A file of a data set as its authors published it.
+    """A file of a data set as its authors published it."""
 
-    Attributes
-    ----------
-    name
-        What the recipe calls it; names differ within a data set.
-    url
-        Where it is, at a state that does not change.
-    sha256, size
-        Checksum, and length [bytes].
-    """
-
-    name: str
-    url: str
+    name: str  # what the recipe calls it; names differ within a data set
+    url: str  # where it is, at a state that does not change
+    #: Checksum, and length [bytes].
     sha256: str
     size: int
 

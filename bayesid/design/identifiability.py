@@ -34,65 +34,31 @@ from bayesid.simulation.trajectories import Trajectory
 
 @dataclass(frozen=True)
 class EffectExpectation:
-    """What motions show of a parameter of an effect in the model.
+    """What motions show of a parameter of an effect in the model."""
 
-    Attributes
-    ----------
-    name, unit
-        Of the effect's parameter.
-    std
-        Expected standard deviation; None where these motions do not determine it beside the links.
-    """
-
+    #: Of the effect's parameter.
     name: str
     unit: str
-    std: float | None
+    std: float | None  # expected standard deviation; None where these motions do not determine it beside the links
 
 
 @dataclass(frozen=True, eq=False)
 class SetReport:
-    """What motions show to one sensor set.
+    """What motions show to one sensor set."""
 
-    Attributes
-    ----------
-    sensor_set
-        What is read.
-    recorded
-        Whether the motions have these readings; otherwise this is what they would show.
-    noise
-        Where the noise of the readings comes from, by ``wrench`` and ``torque``.
-    noise_std
-        Standard deviation of a row of each channel, by its name; of the difference of two where a static run is subtracted.
-    richest
-        Base parameters of the richest motion; None where it is not known.
-    condition_number
-        Of the rows of what is determined, columns at unit length.
-    parameters
-        Every link parameter.
-    base_parameters
-        Combinations that these motions show.
-    unexcited
-        Labels of combinations that another motion would show.
-    effects
-        In the model.
-    expected
-        Behind all this.
-    shown
-        The part of it that the motions determine.
-    """
-
-    sensor_set: SensorSet
-    recorded: bool
-    noise: dict[str, str]
+    sensor_set: SensorSet  # what is read
+    recorded: bool  # whether the motions have these readings; otherwise this is what they would show
+    noise: dict[str, str]  # where the noise of the readings comes from, by ``wrench`` and ``torque``
+    #: Standard deviation of a row of each channel, by its name; of the difference of two where a static run is subtracted.
     noise_std: dict[str, float]
-    richest: BaseParameters | None
-    condition_number: float
-    parameters: tuple[LinkExpectation, ...]
-    base_parameters: tuple[BaseExpectation, ...]
-    unexcited: tuple[str, ...]
-    effects: tuple[EffectExpectation, ...]
-    expected: Expected
-    shown: Shown
+    richest: BaseParameters | None  # base parameters of the richest motion; None where it is not known
+    condition_number: float  # of the rows of what is determined, columns at unit length
+    parameters: tuple[LinkExpectation, ...]  # every link parameter
+    base_parameters: tuple[BaseExpectation, ...]  # combinations that these motions show
+    unexcited: tuple[str, ...]  # labels of combinations that another motion would show
+    effects: tuple[EffectExpectation, ...]  # in the model
+    expected: Expected  # behind all this
+    shown: Shown  # the part of it that the motions determine
 
     def __repr__(self) -> str:
         return f"<SetReport of {self.sensor_set.title}: rank {self.rank} of {self.rank_of_any_motion}>"
@@ -120,21 +86,11 @@ class SetReport:
 
 @dataclass(frozen=True, eq=False)
 class PlannedMotions:
-    """Motions that are asked about.
+    """Motions that are asked about."""
 
-    Attributes
-    ----------
-    experiment
-        Robot, sensor (an imagined one at the base where there is none) and model.
-    motions
-        Recorded or planned; joints that stand still do so exactly.
-    still
-        Where joints stand that do not move in any motion (n,); nan for those that do.
-    """
-
-    experiment: Experiment
-    motions: tuple[Motion | Trajectory, ...]
-    still: np.ndarray
+    experiment: Experiment  # robot, sensor (an imagined one at the base where there is none) and model
+    motions: tuple[Motion | Trajectory, ...]  # recorded or planned; joints that stand still do so exactly
+    still: np.ndarray  # where joints stand that do not move in any motion (n,); nan for those that do
 
     @classmethod
     def of(cls, experiment: Experiment, motions: Sequence[Motion | Trajectory]) -> PlannedMotions:

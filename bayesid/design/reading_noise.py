@@ -31,24 +31,13 @@ _KINDS = ("force", "moment", "torque")
 
 @dataclass(frozen=True)
 class SensorSet:
-    """What is read, and what becomes of the constant offset of the force/torque sensor.
+    """What is read, and what becomes of the constant offset of the force/torque sensor."""
 
-    Attributes
-    ----------
-    name
-        Key in results.
-    title
-        The same in words.
-    channel
-        ``wrench``, ``torque`` or ``both``.
-    offset
-        ``static run``: a run at rest in the same positions is subtracted, which takes gravity along (equation 21 of
-        [Liu1998]_); ``fitted``: estimated along; ``known``: there is none, or it has been measured.
-    """
-
-    name: str
-    title: str
-    channel: str
+    name: str  # key in results
+    title: str  # the same in words
+    channel: str  # ``wrench``, ``torque`` or ``both``
+    #: ``static run``: a run at rest in the same positions is subtracted, which takes gravity along (equation 21 of [Liu1998]_);
+    #: ``fitted``: estimated along; ``known``: there is none, or it has been measured.
     offset: str = "known"
 
     @property
@@ -73,18 +62,12 @@ SENSOR_SETS = {
 
 @dataclass(frozen=True)
 class ReadingNoise:
-    """Noise of single readings, by group of rows (``trajectory``, ``poses``).
+    """Noise of single readings, by group of rows (``trajectory``, ``poses``)."""
 
-    Attributes
-    ----------
-    wrench, torque
-        Noise models of six and of n channels, by group; a missing group has the other's size without its colour.
-    sources
-        Where each comes from, by ``wrench`` and ``torque``: ``given``, ``data sheet``, ``readings`` or ``assumed``.
-    """
-
+    #: Noise models of six and of n channels, by group; a missing group has the other's size without its colour.
     wrench: Mapping[str, NoiseModel]
     torque: Mapping[str, NoiseModel]
+    #: Where each comes from, by ``wrench`` and ``torque``: ``given``, ``data sheet``, ``readings`` or ``assumed``.
     sources: Mapping[str, str]
 
     def of(self, sensor_set: SensorSet) -> dict[str, NoiseModel]:

@@ -40,28 +40,15 @@ _QUANTILE = 1.645
 
 @dataclass(frozen=True)
 class Separation:
-    """One effect as the true one, and another in its stead.
+    """One effect as the true one, and another in its stead."""
 
-    Attributes
-    ----------
-    true, other
-        ``name@where``.
-    seen
-        Noncentrality of the true one at its usual size if the other is not in the model: how well it is seen at all.
-    noncentrality
-        What is left of it when the other is fitted in its stead.
-    probability
-        That the true one rules the other out.
-    smallest
-        Share of the usual size from which it does so with 95 % probability; None where no size does.
-    """
-
+    #: ``name@where``.
     true: str
     other: str
-    seen: float
-    noncentrality: float
-    probability: float
-    smallest: float | None
+    seen: float  # noncentrality of the true one at its usual size if the other is not in the model: how well it is seen at all
+    noncentrality: float  # what is left of it when the other is fitted in its stead
+    probability: float  # that the true one rules the other out
+    smallest: float | None  # share of the usual size from which it does so with 95 % probability; None where no size does
 
 
 def separations(

@@ -35,79 +35,41 @@ _ORDER = (ALONE, COMBINATION, EFFECT, UNEXCITED, NEVER)
 
 @dataclass(frozen=True)
 class BaseExpectation:
-    """A combination that these motions show.
+    """A combination that these motions show."""
 
-    Attributes
-    ----------
-    name, label, unit
-        As of base parameters.
-    std
-        Expected standard deviation.
-    size
-        How large it is when every body's mass distribution is uncertain by its own size; None where nothing is known of that.
-    kind
-        ``alone``, ``combination``, or ``weak`` where the standard deviation exceeds the size.
-    prior_share
-        Posterior over prior standard deviation with the nominal model as far as it is trusted; None without such a prior.
-    """
-
+    #: As of base parameters.
     name: str
     label: str
     unit: str
-    std: float
+    std: float  # expected standard deviation
+    #: How large it is when every body's mass distribution is uncertain by its own size; None where nothing is known of that.
     size: float | None
-    kind: str
+    kind: str  # ``alone``, ``combination``, or ``weak`` where the standard deviation exceeds the size
+    #: Posterior over prior standard deviation with the nominal model as far as it is trusted; None without such a prior.
     prior_share: float | None = None
 
 
 @dataclass(frozen=True)
 class LinkExpectation:
-    """What these motions show of one link parameter.
+    """What these motions show of one link parameter."""
 
-    Attributes
-    ----------
-    name
-        Of the link parameter.
-    kind
-        A key of `WORDS`.
-    combinations
-        Which base parameters of the motions it is in, by number; where it tells most comes first.
-    of_any_motion
-        ``alone``, ``combination`` or ``never_visible`` with the richest motion; None where that is not known.
-    joints
-        Joints that stood still, each of which would show more of it by moving.
-    sensor_sets
-        Names of other sensor sets that would show more of it with some motion.
-    """
-
-    name: str
-    kind: str
-    combinations: tuple[int, ...]
+    name: str  # of the link parameter
+    kind: str  # a key of `WORDS`
+    combinations: tuple[int, ...]  # which base parameters of the motions it is in, by number; where it tells most comes first
+    #: ``alone``, ``combination`` or ``never_visible`` with the richest motion; None where that is not known.
     of_any_motion: str | None
-    joints: tuple[str, ...] = ()
-    sensor_sets: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()  # joints that stood still, each of which would show more of it by moving
+    sensor_sets: tuple[str, ...] = ()  # names of other sensor sets that would show more of it with some motion
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """The part of the base parameters that motions determine.
+    """The part of the base parameters that motions determine."""
 
-    Attributes
-    ----------
-    base
-        Combinations that these motions show.
-    without_effects
-        The same if no effect were in the model but the sensor's offset.
-    factor
-        Of the information about them, all effects projected out (r, r).
-    condition
-        Condition number of the rows, effects that are determined included, with columns of unit length.
-    """
-
-    base: BaseParameters
-    without_effects: BaseParameters
-    factor: np.ndarray
-    condition: float
+    base: BaseParameters  # combinations that these motions show
+    without_effects: BaseParameters  # the same if no effect were in the model but the sensor's offset
+    factor: np.ndarray  # of the information about them, all effects projected out (r, r)
+    condition: float  # condition number of the rows, effects that are determined included, with columns of unit length
 
     @property
     def covariance(self) -> np.ndarray:

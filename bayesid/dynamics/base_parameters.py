@@ -38,28 +38,16 @@ def notation(names: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """Identifiable combinations ``base = matrix @ parameters``.
+    """Identifiable combinations ``base = matrix @ parameters``."""
 
-    Attributes
-    ----------
-    matrix
-        K, (r, p): a unit matrix in the kept columns, the regrouping in the others.
-    independent
-        Indices of the kept columns (r,); regressor times parameters is these columns times ``base``.
-    parameter_names
-        Names of the p parameters behind.
-    names, labels, units
-        Of each base parameter: exact with numbers, for reading, SI.
-    absorbed
-        How a constant offset of the wrench takes up the parameters that look like one (6, p), or None.
-    """
-
-    matrix: np.ndarray
-    independent: np.ndarray
-    parameter_names: tuple[str, ...]
+    matrix: np.ndarray  # k, (r, p): a unit matrix in the kept columns, the regrouping in the others
+    independent: np.ndarray  # indices of the kept columns (r,); regressor times parameters is these columns times ``base``
+    parameter_names: tuple[str, ...]  # names of the p parameters behind
+    #: Of each base parameter: exact with numbers, for reading, SI.
     names: tuple[str, ...]
     labels: tuple[str, ...]
     units: tuple[str, ...]
+    #: How a constant offset of the wrench takes up the parameters that look like one (6, p), or None.
     absorbed: np.ndarray | None = None
 
     def __repr__(self) -> str:

@@ -40,21 +40,12 @@ from bayesid.robot.robot import Robot
 
 @dataclass(frozen=True)
 class Kernel:
-    """Regressors of one robot's channels, with all that does not depend on the samples worked out once.
+    """Regressors of one robot's channels, with all that does not depend on the samples worked out once."""
 
-    Attributes
-    ----------
-    tables
-        A chain of rows (the joints, then split bodies), twists and columns by body, as the compiled loops take them.
-    gravity
-        In the frame of computing (3,) [m/s^2].
-    columns
-        How many columns the regressor has.
-    """
-
+    #: A chain of rows (the joints, then split bodies), twists and columns by body, as the compiled loops take them.
     tables: tuple[Any, ...]
-    gravity: np.ndarray
-    columns: int
+    gravity: np.ndarray  # in the frame of computing (3,) [m/s^2]
+    columns: int  # how many columns the regressor has
 
     @classmethod
     def of(cls, robot: Robot, channels: Channels, columns: np.ndarray | None = None) -> Kernel:

@@ -43,21 +43,11 @@ _LONGEST, _DEEPEST = 1000, 40
 
 @dataclass(frozen=True)
 class Formula:
-    """A formula that has been checked.
+    """A formula that has been checked."""
 
-    Attributes
-    ----------
-    text
-        As it was written.
-    tree
-        Its syntax tree.
-    names
-        Variables and parameters in it.
-    """
-
-    text: str
-    tree: ast.expr
-    names: frozenset[str]
+    text: str  # as it was written
+    tree: ast.expr  # its syntax tree
+    names: frozenset[str]  # variables and parameters in it
 
     @classmethod
     def parse(cls, text: str) -> Formula:

@@ -34,23 +34,12 @@ _TAIL = 2.0
 
 @dataclass(frozen=True, eq=False)
 class RigidMountLoad:
-    """What a robot asks of a mount that does not give.
+    """What a robot asks of a mount that does not give."""
 
-    Attributes
-    ----------
-    inertia
-        About the base's x and y axes (N, 2, 2) [kg m^2].
-    middle
-        The same at the middle of the motion (2, 2).
-    weight
-        Moment of the weight about them by base angles, G of the module (N, 2, 2) [N m/rad].
-    held, moving
-        Moment about them while the robot is held, and as it moves (N, 2) [N m].
-    """
-
-    inertia: np.ndarray
-    middle: np.ndarray
-    weight: np.ndarray
+    inertia: np.ndarray  # about the base's x and y axes (N, 2, 2) [kg m^2]
+    middle: np.ndarray  # the same at the middle of the motion (2, 2)
+    weight: np.ndarray  # moment of the weight about them by base angles, G of the module (N, 2, 2) [N m/rad]
+    #: Moment about them while the robot is held, and as it moves (N, 2) [N m].
     held: np.ndarray
     moving: np.ndarray
 

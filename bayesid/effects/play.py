@@ -296,33 +296,15 @@ def _rests(times: np.ndarray, encoders: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _JointFit:
-    """The fit of one joint's link motion.
+    """The fit of one joint's link motion."""
 
-    Attributes
-    ----------
-    play
-        What the joint has of it.
-    splines
-        Of each level.
-    encoders
-        The joint's own (M,).
-    torque
-        The joint's (M,) along a motion of its link, three times (M,).
-    inertia
-        That it feels, zero while it is at rest (M,).
-    still
-        Whether no encoder moves (M,).
-    step
-        Time between samples [s].
-    """
-
-    play: Sequence[tuple[PlayEffect, Sequence[float]]]
-    splines: Sequence[Splines]
-    encoders: np.ndarray
-    torque: Callable[[Sequence[np.ndarray]], np.ndarray]
-    inertia: np.ndarray
-    still: np.ndarray
-    step: float
+    play: Sequence[tuple[PlayEffect, Sequence[float]]]  # what the joint has of it
+    splines: Sequence[Splines]  # of each level
+    encoders: np.ndarray  # the joint's own (M,)
+    torque: Callable[[Sequence[np.ndarray]], np.ndarray]  # the joint's (M,) along a motion of its link, three times (M,)
+    inertia: np.ndarray  # that it feels, zero while it is at rest (M,)
+    still: np.ndarray  # whether no encoder moves (M,)
+    step: float  # time between samples [s]
 
     @classmethod
     def of(cls, recorded: Recorded, link: Sequence[np.ndarray], joint: int, play) -> _JointFit:

@@ -19,27 +19,15 @@ from bayesid.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class SensorChain:
-    """Steps from the true wrench to the reading.
+    """Steps from the true wrench to the reading."""
 
-    Attributes
-    ----------
-    shift_axes
-        From a shift in base axes, or in those of the sensor's link, to the sensor's axes (3, 3).
-    shift, turn
-        Of the sensor against its stated pose (3,) [m], and its rotation vector (3,) [rad].
-    delay
-        [s].
-    mix
-        Gains and cross-talk (6, 6).
-    offset, drift
-        (6,) [N, N m], [.../s].
-    """
-
-    shift_axes: np.ndarray
+    shift_axes: np.ndarray  # from a shift in base axes, or in those of the sensor's link, to the sensor's axes (3, 3)
+    #: Of the sensor against its stated pose (3,) [m], and its rotation vector (3,) [rad].
     shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
     turn: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    delay: float = 0.0
-    mix: np.ndarray = field(default_factory=lambda: np.eye(6))
+    delay: float = 0.0  # [s]
+    mix: np.ndarray = field(default_factory=lambda: np.eye(6))  # gains and cross-talk (6, 6)
+    #: (6,) [N, N m], [.../s].
     offset: np.ndarray = field(default_factory=lambda: np.zeros(6))
     drift: np.ndarray = field(default_factory=lambda: np.zeros(6))
 

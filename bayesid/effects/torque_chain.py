@@ -41,24 +41,14 @@ def motor_torques(transmission: np.ndarray, order: Sequence[int], true: np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class TorqueChain:
-    """Steps from the joints' torques to readings, in channels of which some are torques.
+    """Steps from the joints' torques to readings, in channels of which some are torques."""
 
-    Attributes
-    ----------
-    joints
-        Channel that reads each joint's torque.
-    transmission
-        From the motors' positions to the joints', (1 + C)^-1 (n, n); None where no transmissions are coupled.
-    delays
-        How long ago torques are read, by joint [s], where that is another time than that of the positions.
-    gain
-        1 + gain of each channel (c,).
-    """
-
-    joints: Mapping[int | None, int]
+    joints: Mapping[int | None, int]  # channel that reads each joint's torque
+    #: From the motors' positions to the joints', (1 + C)^-1 (n, n); None where no transmissions are coupled.
     transmission: np.ndarray | None
+    #: How long ago torques are read, by joint [s], where that is another time than that of the positions.
     delays: Mapping[int | None, float]
-    gain: np.ndarray
+    gain: np.ndarray  # 1 + gain of each channel (c,)
 
     @classmethod
     def of(

@@ -12,21 +12,11 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Named groups of arrays.
+    """Named groups of arrays."""
 
-    Attributes
-    ----------
-    arrays
-        By variable by group.
-    coordinates
-        Labels of every dimension.
-    dimensions
-        Of every variable, beyond chains and draws.
-    """
-
-    arrays: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
-    coordinates: dict[str, Any] = field(default_factory=dict)
-    dimensions: dict[str, list[str]] = field(default_factory=dict)
+    arrays: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)  # by variable by group
+    coordinates: dict[str, Any] = field(default_factory=dict)  # labels of every dimension
+    dimensions: dict[str, list[str]] = field(default_factory=dict)  # of every variable, beyond chains and draws
 
 
 def load_arviz() -> Any:

@@ -31,21 +31,13 @@ _WARM_UP_ALONE = 1000
 
 @dataclass(eq=False)
 class EnsembleState:
-    """State of an ensemble; steps move it on in place.
+    """State of an ensemble; steps move it on in place."""
 
-    Attributes
-    ----------
-    points, log_density
-        Walkers in (z, log scales) (w, d), and the logarithm of their density (w,).
-    random
-        State of emcee's generator.
-    proposed, accepted
-        Proposals of the Laplace move so far, and how many were taken.
-    """
-
+    #: Walkers in (z, log scales) (w, d), and the logarithm of their density (w,).
     points: np.ndarray
     log_density: np.ndarray
-    random: Any
+    random: Any  # state of emcee's generator
+    #: Proposals of the Laplace move so far, and how many were taken.
     accepted: int = 0
     proposed: int = 0
 
@@ -83,16 +75,10 @@ class LaplaceMove(Move):
 
 @dataclass(frozen=True, eq=False)
 class Ensemble:
-    """Sampler ``emcee``; a chain is a whole ensemble of walkers, which are no chains of their own.
-
-    Attributes
-    ----------
-    moves
-        ``laplace`` (with differential evolution one step in ten), ``de`` or ``stretch`` alone.
-    """
+    """Sampler ``emcee``; a chain is a whole ensemble of walkers, which are no chains of their own."""
 
     model: PosteriorModel
-    moves: str = "laplace"
+    moves: str = "laplace"  # ``laplace`` (with differential evolution one step in ten), ``de`` or ``stretch`` alone
     thin: int = 4
     name: str = field(default="emcee", init=False)
 

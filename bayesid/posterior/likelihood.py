@@ -50,17 +50,11 @@ _PANEL, _PASSES = 4096, 2
 
 @dataclass(frozen=True)
 class ScalePrior:
-    """Inverse gamma law of every squared scale, ``s^2 ~ IG(shape, rate)``; (0, 0) is Jeffreys' ``1 / s``.
-
-    Attributes
-    ----------
-    known
-        Whether scales are held at one instead.
-    """
+    """Inverse gamma law of every squared scale, ``s^2 ~ IG(shape, rate)``; (0, 0) is Jeffreys' ``1 / s``."""
 
     shape: float = 0.0
     rate: float = 0.0
-    known: bool = False
+    known: bool = False  # whether scales are held at one instead
 
     def log_density(self, log_scales: np.ndarray) -> np.ndarray:
         """Of the logarithms of the scales (..., k), up to a constant (...,)."""

@@ -31,24 +31,14 @@ _SLICE_STEP = 0.5
 
 @dataclass(eq=False)
 class GibbsState:
-    """State of a chain; sweeps move it on in place.
+    """State of a chain; sweeps move it on in place."""
 
-    Attributes
-    ----------
-    x
-        Linear parameters in the sampler's coordinates (d,).
-    scales, dof
-        Of the noise (k,).
-    rng
-        The chain's own generator.
-    bounces, lost
-        Reflections so far, and trajectories that were given up.
-    """
-
-    x: np.ndarray
+    x: np.ndarray  # linear parameters in the sampler's coordinates (d,)
+    #: Of the noise (k,).
     scales: np.ndarray
     dof: float
-    rng: np.random.Generator
+    rng: np.random.Generator  # the chain's own generator
+    #: Reflections so far, and trajectories that were given up.
     bounces: float = 0.0
     lost: float = 0.0
 

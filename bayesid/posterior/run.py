@@ -89,27 +89,15 @@ class Engine(Protocol[S]):
 
 @dataclass(frozen=True, eq=False)
 class Chains:
-    """What a run gives.
+    """What a run gives."""
 
-    Attributes
-    ----------
-    draws
-        (chains, draws, names); of an ensemble walker by walker, so that what correlation is left stands side by
-        side and is counted.
-    engine
-        Its name.
-    thin
-        Steps from one kept draw to the next, beyond the engine's own.
-    states
-        Last states of the chains.
-    diagnosis
-        By at least 1600 draws, of all numbers sampled, and of the base parameters where the links are sampled.
-    """
-
+    #: (chains, draws, names); of an ensemble walker by walker, so that what correlation is left stands side by side and is
+    #: counted.
     draws: np.ndarray
-    engine: str
-    thin: int
-    states: list[Any]
+    engine: str  # its name
+    thin: int  # steps from one kept draw to the next, beyond the engine's own
+    states: list[Any]  # last states of the chains
+    #: By at least 1600 draws, of all numbers sampled, and of the base parameters where the links are sampled.
     diagnosis: Convergence
 
 

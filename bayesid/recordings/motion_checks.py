@@ -29,18 +29,10 @@ REPORTED = 0.1
 
 @dataclass(frozen=True)
 class HeldColumn:
-    """A column that is new in some rows only.
+    """A column that is new in some rows only."""
 
-    Attributes
-    ----------
-    column
-        Its name.
-    rows
-        From one new sample to the next, on average.
-    """
-
-    column: str
-    rows: float
+    column: str  # its name
+    rows: float  # from one new sample to the next, on average
 
 
 def held_columns(table: Table) -> list[HeldColumn]:
@@ -97,20 +89,12 @@ def rows_held(values: np.ndarray) -> float | None:
 
 @dataclass(frozen=True)
 class Timing:
-    """How even time stamps are.
+    """How even time stamps are."""
 
-    Attributes
-    ----------
-    dropped
-        Samples missing in steps that are no gaps, by how many usual steps fit into them.
-    jitter
-        Error of a time stamp that would make steps scatter as they do, rms [s]: a stamp ends one step and starts the next.
-    first_step, last_step
-        Usual step in the first and the last quarter [s].
-    """
-
-    dropped: int
+    dropped: int  # samples missing in steps that are no gaps, by how many usual steps fit into them
+    #: Error of a time stamp that would make steps scatter as they do, rms [s]: a stamp ends one step and starts the next.
     jitter: float
+    #: Usual step in the first and the last quarter [s].
     first_step: float
     last_step: float
 

@@ -46,25 +46,14 @@ class FilePart:
 
 @dataclass(frozen=True)
 class _Layout:
-    """What is read of the file.
+    """What is read of the file."""
 
-    Attributes
-    ----------
-    path, source
-        The file, and what to call it in messages.
-    groups
-        Group of columns -> their names.
-    header
-        All columns of a CSV file; None: it is Parquet.
-    changed
-        When it was written: another file of the same name is read anew.
-    """
-
+    #: The file, and what to call it in messages.
     path: Path
     source: str
-    groups: Mapping[str, list[str]]
-    header: tuple[str, ...] | None
-    changed: int
+    groups: Mapping[str, list[str]]  # group of columns -> their names
+    header: tuple[str, ...] | None  # all columns of a CSV file; None: it is Parquet
+    changed: int  # when it was written: another file of the same name is read anew
 
     @property
     def columns(self) -> list[str]:
@@ -77,40 +66,19 @@ class _Layout:
 
 @dataclass(frozen=True, eq=False)
 class StoredTable:
-    """A recording of ``N`` usable samples in its file.
+    """A recording of ``N`` usable samples in its file."""
 
-    Attributes
-    ----------
-    layout, parts
-        What is read of the file.
-    starts
-        First usable sample of every part, and N (parts + 1,).
-    begins
-        Time of that sample (parts,) [s].
-    dropped
-        By part, rows that are left out for they have no reading or the time of the row before.
-    gaps
-        Samples that come after a gap.
-    step
-        The usual time between samples [s].
-    end
-        Time of the last sample [s].
-    joints
-        How many joints there are.
-    notes
-        What is to be said of the rows that are left out.
-    """
-
+    #: What is read of the file.
     layout: _Layout
     parts: tuple[FilePart, ...]
-    starts: np.ndarray
-    begins: np.ndarray
-    dropped: Mapping[int, np.ndarray]
-    gaps: tuple[int, ...]
-    step: float
-    end: float
-    joints: int
-    notes: tuple[str, ...] = ()
+    starts: np.ndarray  # first usable sample of every part, and N (parts + 1,)
+    begins: np.ndarray  # time of that sample (parts,) [s]
+    dropped: Mapping[int, np.ndarray]  # by part, rows that are left out for they have no reading or the time of the row before
+    gaps: tuple[int, ...]  # samples that come after a gap
+    step: float  # the usual time between samples [s]
+    end: float  # time of the last sample [s]
+    joints: int  # how many joints there are
+    notes: tuple[str, ...] = ()  # what is to be said of the rows that are left out
 
     def __len__(self) -> int:
         """Return the number of samples."""

@@ -23,20 +23,14 @@ _GREY, _DARK, _EDGE, _GRID = "#475569", "#334155", "#94a3b8", "#e2e8f0"
 
 @dataclass(frozen=True)
 class Panel:
-    """A rectangle with axes.
+    """A rectangle with axes."""
 
-    Attributes
-    ----------
-    left, top, width, height
-        On the page [pt].
-    x, y
-        Values at the left and right edge, and at the lower and upper one.
-    """
-
+    #: On the page [pt].
     left: float
     top: float
     width: float
     height: float
+    #: Values at the left and right edge, and at the lower and upper one.
     x: tuple[float, float]
     y: tuple[float, float]
 

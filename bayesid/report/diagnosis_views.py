@@ -21,49 +21,31 @@ _CUTS = (1.0, 3.0, 10.0)
 
 @dataclass(frozen=True, eq=False)
 class ResidualPanel:
-    """Residuals of one recording in units of the noise, before and after.
+    """Residuals of one recording in units of the noise, before and after."""
 
-    Attributes
-    ----------
-    title, unseen
-        Which recording, and whether it took part in no fit.
-    pieces
-        For each gap-free segment: edges of the windows (w + 1,) [s], root mean squares before and after (w, c, 2), and
-        whether they are significant (w, c, 2).
-    bands
-        Root mean squares by band (b, c, 2).
-    """
-
+    #: Which recording, and whether it took part in no fit.
     title: str
     unseen: bool
+    #: For each gap-free segment: edges of the windows (w + 1,) [s], root mean squares before and after (w, c, 2), and whether
+    #: they are significant (w, c, 2).
     pieces: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
-    bands: np.ndarray
+    bands: np.ndarray  # root mean squares by band (b, c, 2)
 
 
 @dataclass(frozen=True, eq=False)
 class SignalView:
-    """What was measured in one channel, and measured less predicted before and after.
+    """What was measured in one channel, and measured less predicted before and after."""
 
-    Attributes
-    ----------
-    channel, unit, motion
-        What is shown.
-    times, measured, values
-        (N,) [s], (N,) and (N, 2).
-    noise
-        Standard deviation that sensor and encoders leave in the same band.
-    below
-        Highest frequency shown [Hz].
-    """
-
+    #: What is shown.
     channel: str
     unit: str
     motion: str
+    #: (N,) [s], (N,) and (N, 2).
     times: np.ndarray
     measured: np.ndarray
     values: np.ndarray
-    noise: float
-    below: float
+    noise: float  # standard deviation that sensor and encoders leave in the same band
+    below: float  # highest frequency shown [Hz]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,24 +71,15 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """All that the report shows beside the diagnosis itself.
+    """All that the report shows beside the diagnosis itself."""
 
-    Attributes
-    ----------
-    panels, signals, noise, visible
-        What each picture shows, see their classes.
-    bands
-        Their limits [Hz].
-    changed
-        Whether a model other than the user's was fitted, so that there is an "after".
-    """
-
+    #: What each picture shows, see their classes.
     panels: tuple[ResidualPanel, ...]
     signals: tuple[SignalView, ...]
     noise: tuple[Noise, ...]
     visible: tuple[Visible, ...]
-    bands: tuple[tuple[float, float], ...]
-    changed: bool
+    bands: tuple[tuple[float, float], ...]  # their limits [Hz]
+    changed: bool  # whether a model other than the user's was fitted, so that there is an "after"
 
 
 def diagnosis_views(diagnosis: Diagnosis) -> Views:

@@ -18,25 +18,14 @@ _SKEW = 0.05
 
 @dataclass(frozen=True)
 class EffectBeside:
-    """Something beside the payload that the readings show.
+    """Something beside the payload that the readings show."""
 
-    Attributes
-    ----------
-    name, where
-        As in the experiment format.
-    values
-        Value, standard deviation and unit of each parameter.
-    ambiguous_with
-        Effects, ``name@where``, that explain the readings as well.
-    in_model
-        Whether the payload's values are those beside it.
-    """
-
+    #: As in the experiment format.
     name: str
     where: str
-    values: Mapping[str, tuple[float, float, str]]
-    ambiguous_with: tuple[str, ...] = ()
-    in_model: bool = True
+    values: Mapping[str, tuple[float, float, str]]  # value, standard deviation and unit of each parameter
+    ambiguous_with: tuple[str, ...] = ()  # effects, ``name@where``, that explain the readings as well
+    in_model: bool = True  # whether the payload's values are those beside it
 
     @property
     def spec(self) -> str:

@@ -34,23 +34,12 @@ SCHEMA = 1
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryBands:
-    """Readings of one trajectory with their bands.
+    """Readings of one trajectory with their bands."""
 
-    Attributes
-    ----------
-    name
-        Of the motion or the file.
-    given
-        Whether it was asked for; else it is a motion of the experiment.
-    positions
-        Joint positions (N, n) [rad or m].
-    torque, wrench
-        Bands of the joint torques, and of the sensor's wrench without its offset; None without a sensor.
-    """
-
-    name: str
-    given: bool
-    positions: np.ndarray
+    name: str  # of the motion or the file
+    given: bool  # whether it was asked for; else it is a motion of the experiment
+    positions: np.ndarray  # joint positions (N, n) [rad or m]
+    #: Bands of the joint torques, and of the sensor's wrench without its offset; None without a sensor.
     torque: Band
     wrench: Band | None
 

@@ -29,20 +29,11 @@ KINDS = {
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """How large an effect of a kind may be without standing out.
+    """How large an effect of a kind may be without standing out."""
 
-    Attributes
-    ----------
-    kind
-        A key of `KINDS`.
-    spec
-        ``name@where``, of the places where it would stand out least.
-    parameter, size, unit
-        The size of its first parameter that stands out by five standard deviations.
-    """
-
-    kind: str
-    spec: str
+    kind: str  # a key of `KINDS`
+    spec: str  # ``name@where``, of the places where it would stand out least
+    #: The size of its first parameter that stands out by five standard deviations.
     parameter: str
     size: float
     unit: str

@@ -30,38 +30,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """What one estimator made of the data.
+    """What one estimator made of the data."""
 
-    Attributes
-    ----------
-    name
-        The estimator's, made unique.
-    description
-        What it is, in one line.
-    estimate
-        None where the estimator refused; ``refusal`` says why.
-    refusal
-        Empty where there is an estimate.
-    seconds
-        Time of the fit alone; rows and noise are made once for all.
-    links
-        Link parameters (P,), those that `identify` writes: physically consistent; None without a robot.
-    impossible
-        Names of the bodies that cannot exist; None without ``links``.
-    urdf
-        How far these links are from the estimate; None where that is not known.
-    fitted, validation
-        Predictions of the fitted motions and of the others.
-    """
-
-    name: str
-    description: str
-    estimate: Estimate | None
-    refusal: str = ""
-    seconds: float = 0.0
+    name: str  # the estimator's, made unique
+    description: str  # what it is, in one line
+    estimate: Estimate | None  # none where the estimator refused; ``refusal`` says why
+    refusal: str = ""  # empty where there is an estimate
+    seconds: float = 0.0  # time of the fit alone; rows and noise are made once for all
+    #: Link parameters (P,), those that `identify` writes: physically consistent; None without a robot.
     links: np.ndarray | None = None
-    impossible: tuple[str, ...] | None = None
-    urdf: UrdfLinks | None = None
+    impossible: tuple[str, ...] | None = None  # names of the bodies that cannot exist; None without ``links``
+    urdf: UrdfLinks | None = None  # how far these links are from the estimate; None where that is not known
+    #: Predictions of the fitted motions and of the others.
     fitted: tuple[Prediction, ...] = ()
     validation: tuple[Prediction, ...] = ()
 

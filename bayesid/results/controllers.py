@@ -69,21 +69,11 @@ class Load:
 
 @dataclass(frozen=True)
 class Format:
-    """How a controller takes a payload.
+    """How a controller takes a payload."""
 
-    Attributes
-    ----------
-    file
-        Name of the file.
-    write
-        From a load to the file's text.
-    of_sensor
-        Whether it is for a force/torque sensor.
-    """
-
-    file: str
-    write: Callable[[Load], str]
-    of_sensor: bool = False
+    file: str  # name of the file
+    write: Callable[[Load], str]  # from a load to the file's text
+    of_sensor: bool = False  # whether it is for a force/torque sensor
 
 
 def ur(load: Load) -> str:

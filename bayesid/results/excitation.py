@@ -38,29 +38,16 @@ def block_length(block: ScriptedBlock) -> str:
 
 @dataclass(frozen=True)
 class LimitUse:
-    """How near a motion comes to one limit.
+    """How near a motion comes to one limit."""
 
-    Attributes
-    ----------
-    kind
-        ``position``, ``velocity``, ``acceleration``, ``torque``, ``wrench`` or ``collision``.
-    where
-        Joint, channel or pair of bodies.
-    reached, limit
-        Largest value of the motion and what is allowed, the share of the limits taken off; of a position, the far end; of a
-        collision, the smallest distance and the margin.
-    unit
-        Unit of both.
-    ratio
-        At most one: the limit is kept.
-    """
-
-    kind: str
-    where: str
+    kind: str  # ``position``, ``velocity``, ``acceleration``, ``torque``, ``wrench`` or ``collision``
+    where: str  # joint, channel or pair of bodies
+    #: Largest value of the motion and what is allowed, the share of the limits taken off; of a position, the far end; of a
+    #: collision, the smallest distance and the margin.
     reached: float
     limit: float
-    unit: str
-    ratio: float
+    unit: str  # unit of both
+    ratio: float  # at most one: the limit is kept
 
     @property
     def kept(self) -> bool:

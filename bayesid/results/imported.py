@@ -27,23 +27,15 @@ _OURS = {next(iter(units)) for units in UNITS.values()}
 
 @dataclass(frozen=True)
 class Delay:
-    """How much later one quantity is than another.
+    """How much later one quantity is than another."""
 
-    Attributes
-    ----------
-    late, against
-        What is late, and against what, with their topics.
-    value, std
-        [s]; negative where it is early.
-    method
-        How it was found.
-    """
-
+    #: What is late, and against what, with their topics.
     late: str
     against: str
+    #: [s]; negative where it is early.
     value: float
     std: float
-    method: str
+    method: str  # how it was found
 
     def __str__(self) -> str:
         side = "later" if self.value >= 0.0 else "earlier"
@@ -53,24 +45,12 @@ class Delay:
 
 @dataclass(frozen=True, eq=False)
 class ImportedRecording:
-    """One recording: where everything came from, and what was done to it.
+    """One recording: where everything came from, and what was done to it."""
 
-    Attributes
-    ----------
-    name
-        Of its motion in the experiment.
-    files
-        Names of the files or folders that it was read from.
-    recording
-        Every quantity as it was recorded, and what was done.
-    delays
-        Between topics.
-    """
-
-    name: str
-    files: tuple[str, ...]
-    recording: Recording
-    delays: tuple[Delay, ...] = ()
+    name: str  # of its motion in the experiment
+    files: tuple[str, ...]  # names of the files or folders that it was read from
+    recording: Recording  # every quantity as it was recorded, and what was done
+    delays: tuple[Delay, ...] = ()  # between topics
 
     @property
     def signals(self) -> tuple[Signal, ...]:

@@ -25,41 +25,21 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class MotionSummary:
-    """What one motion of the folder is.
+    """What one motion of the folder is."""
 
-    Attributes
-    ----------
-    motion
-        The recording itself.
-    gaps
-        (start, end) of each hole in it [s].
-    timing
-        How even its time stamps are; None for poses.
-    rate
-        Samples a second; nan for poses.
-    columns
-        Groups of columns that it has: ``q, v, qr, tau, wrench``.
-    lowest, highest, speed
-        Reach (n,) [rad or m] and largest speed (n,) [rad/s or m/s] of the joints, nan for poses.
-    static
-        ``none``, ``stop-and-go`` (row by row the motion's positions) or ``poses``.
-    noise
-        Standard deviation of one sample by channel [unit of the channel]; empty where it cannot be had.
-    noise_at_rest
-        Standard deviation about the mean of each parked interval, by channel [unit of the channel]; empty where the
-        experiment states none.
-    """
-
-    motion: Motion
-    gaps: tuple[tuple[float, float], ...]
-    timing: Timing | None
-    rate: float
-    columns: tuple[str, ...]
+    motion: Motion  # the recording itself
+    gaps: tuple[tuple[float, float], ...]  # (start, end) of each hole in it [s]
+    timing: Timing | None  # how even its time stamps are; None for poses
+    rate: float  # samples a second; nan for poses
+    columns: tuple[str, ...]  # groups of columns that it has: ``q, v, qr, tau, wrench``
+    #: Reach (n,) [rad or m] and largest speed (n,) [rad/s or m/s] of the joints, nan for poses.
     lowest: np.ndarray
     highest: np.ndarray
     speed: np.ndarray
-    static: str
-    noise: dict[str, float]
+    static: str  # ``none``, ``stop-and-go`` (row by row the motion's positions) or ``poses``
+    noise: dict[str, float]  # standard deviation of one sample by channel [unit of the channel]; empty where it cannot be had
+    #: Standard deviation about the mean of each parked interval, by channel [unit of the channel]; empty where the experiment
+    #: states none.
     noise_at_rest: dict[str, float]
 
     def to_dict(self) -> dict[str, Any]:
@@ -79,21 +59,11 @@ class MotionSummary:
 
 @dataclass(frozen=True)
 class InspectedReadings:
-    """A set of readings and what it can show at all.
+    """A set of readings and what it can show at all."""
 
-    Attributes
-    ----------
-    name
-        In words.
-    base
-        Base parameters of the richest motion.
-    available
-        Whether the motions to fit have these readings.
-    """
-
-    name: str
-    base: BaseParameters
-    available: bool
+    name: str  # in words
+    base: BaseParameters  # base parameters of the richest motion
+    available: bool  # whether the motions to fit have these readings
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,24 +52,13 @@ class Loaded(Plots):
 
     It prints as the result did, ``to_dict()`` gives the same, and every key of that is an attribute: ``diagnosis.verdict``,
     ``loaded.warnings``. What the file does not hold, such as predictions of other motions, needs the recording and says so.
-
-    Attributes
-    ----------
-    kind
-        Name of the result's class.
-    document
-        What `to_dict` gave.
-    printed
-        What ``print`` showed.
-    path
-        The file.
     """
 
     verb: ClassVar[str] = "load"
-    kind: str
-    document: Mapping[str, Any]
-    printed: str
-    path: Path
+    kind: str  # name of the result's class
+    document: Mapping[str, Any]  # what `to_dict` gave
+    printed: str  # what ``print`` showed
+    path: Path  # the file
 
     def to_dict(self) -> dict[str, Any]:
         """The document, as the result's `to_dict`."""

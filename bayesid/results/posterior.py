@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from bayesid.results.files import Result
 from bayesid.results.fitted_model import robot_section
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import Prediction
-
-if TYPE_CHECKING:
-    pass
 
 SCHEMA = 1
 

@@ -34,34 +34,19 @@ _NAMED = 4
 
 @dataclass(frozen=True)
 class UrdfLinks:
-    """Links of ``identified.urdf``.
+    """Links of ``identified.urdf``."""
 
-    Attributes
-    ----------
-    links
-        Ten parameters a body (10 b,), physically consistent.
-    unconstrained
-        The nearest to the nominal ones that have exactly the estimated base parameters, possible or not (10 b,).
-    moved
-        How far the base parameters had to move, and what stood against it; None where the estimator has links of its own.
-    nominal
-        What the links are near to.
-    errors
-        Relative error of the rows of each motion that was not fitted (of all, where all were): predicted by the estimate, and by
-        these links with the effects that go with them.
-    dynamics
-        Friction, and what else was identified beside the links.
-    stated_mass
-        Of the URDF in all [kg]; None where it says nothing of these links' masses.
-    """
-
-    links: np.ndarray
+    links: np.ndarray  # ten parameters a body (10 b,), physically consistent
+    #: The nearest to the nominal ones that have exactly the estimated base parameters, possible or not (10 b,).
     unconstrained: np.ndarray
+    #: How far the base parameters had to move, and what stood against it; None where the estimator has links of its own.
     moved: ConsistentLinks | None
-    nominal: str
+    nominal: str  # what the links are near to
+    #: Relative error of the rows of each motion that was not fitted (of all, where all were): predicted by the estimate, and by
+    #: these links with the effects that go with them.
     errors: dict[str, tuple[float, float]]
-    dynamics: JointDynamics
-    stated_mass: float | None = None
+    dynamics: JointDynamics  # friction, and what else was identified beside the links
+    stated_mass: float | None = None  # of the URDF in all [kg]; None where it says nothing of these links' masses
 
     @property
     def mass(self) -> float:

@@ -25,23 +25,12 @@ _MOODS = {"nothing_missing": "good", "unknown": "bad", "not_compared": "bad"}
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """One recording of the series.
+    """One recording of the series."""
 
-    Attributes
-    ----------
-    name
-        Of the recording.
-    comparison
-        What changed since the reference; None where it could not be compared.
-    complaint
-        Why it could not.
-    left
-        What the reference's fit leaves of its motions, as `bayesid.identify` fits and measures it.
-    """
-
-    name: str
-    comparison: ReferenceComparison | None
-    complaint: str = ""
+    name: str  # of the recording
+    comparison: ReferenceComparison | None  # what changed since the reference; None where it could not be compared
+    complaint: str = ""  # why it could not
+    #: What the reference's fit leaves of its motions, as `bayesid.identify` fits and measures it.
     left: tuple[Prediction, ...] = ()
 
     @property

@@ -28,25 +28,14 @@ _EARTH = (0.0, 0.0, -9.81)
 
 @dataclass(frozen=True)
 class MjcfRobot:
-    """A compiled MJCF file.
+    """A compiled MJCF file."""
 
-    Attributes
-    ----------
-    root
-        The robot as a URDF, about the same base frame, MuJoCo's world; without shapes.
-    inside
-        What each joint has inside, by joint and kind: ``damping`` [N m s/rad], ``frictionloss`` [N m], ``armature`` [kg m^2],
-        ``stiffness`` [N m/rad] and ``springref`` [rad], or those of a slide; kinds that are zero are left out.
-    notes
-        What of the file the robot does not have, one line each.
-    model
-        MuJoCo's own.
-    """
-
-    root: ET.Element
+    root: ET.Element  # the robot as a URDF, about the same base frame, MuJoCo's world; without shapes
+    #: What each joint has inside, by joint and kind: ``damping`` [N m s/rad], ``frictionloss`` [N m], ``armature`` [kg m^2],
+    #: ``stiffness`` [N m/rad] and ``springref`` [rad], or those of a slide; kinds that are zero are left out.
     inside: dict[str, dict[str, float]]
-    notes: tuple[str, ...]
-    model: Any
+    notes: tuple[str, ...]  # what of the file the robot does not have, one line each
+    model: Any  # MuJoCo's own
 
     def check(self, urdf: str, source: str) -> None:
         """Compare with Pinocchio's reading of the URDF; an `InputError` where mass matrices or bias forces differ."""

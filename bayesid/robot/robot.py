@@ -41,24 +41,12 @@ def fingerprint(holder: Any) -> bytes:
 
 @dataclass(frozen=True)
 class SensorPlace:
-    """Place of the sensor in the tree.
+    """Place of the sensor in the tree."""
 
-    Attributes
-    ----------
-    parent
-        The moving joint whose frame it moves with; -1: the root.
-    placement
-        Of the sensor joint's child link in that joint's frame.
-    bodies
-        Which bodies it carries.
-    far
-        Inertia of a split link's far part, in the sensor joint's child frame; None where no link is split.
-    """
-
-    parent: int
-    placement: Any
-    bodies: np.ndarray
-    far: Any | None
+    parent: int  # the moving joint whose frame it moves with; -1: the root
+    placement: Any  # of the sensor joint's child link in that joint's frame
+    bodies: np.ndarray  # which bodies it carries
+    far: Any | None  # inertia of a split link's far part, in the sensor joint's child frame; None where no link is split
 
 
 def locate_sensor(urdf: Path, model, name: str, index, parent, anchor, frame) -> SensorPlace:

@@ -23,20 +23,11 @@ _REASON = 200  # characters of another package's message that are quoted
 
 @dataclass(frozen=True)
 class RobotSource:
-    """A file, and the arguments that its macros take.
+    """A file, and the arguments that its macros take."""
 
-    Attributes
-    ----------
-    path
-        The file.
-    arguments
-        By name, as the command xacro takes them.
-    packages
-        Where packages are that its macros name, beside those that are found.
-    """
-
-    path: Path
-    arguments: dict[str, str] = field(default_factory=dict)
+    path: Path  # the file
+    arguments: dict[str, str] = field(default_factory=dict)  # by name, as the command xacro takes them
+    #: Where packages are that its macros name, beside those that are found.
     packages: dict[str, str] = field(default_factory=dict)
 
 

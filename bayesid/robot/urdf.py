@@ -15,20 +15,11 @@ from bayesid.robot.robot import Robot
 
 @dataclass(frozen=True)
 class JointDynamics:
-    """What was identified beside the links, as a URDF holds it.
+    """What was identified beside the links, as a URDF holds it."""
 
-    Attributes
-    ----------
-    friction
-        Attributes of ``<dynamics>`` by joint: the identified damping and friction.
-    left_out
-        Identified friction that is negative, and so not written, ``joint1 damping``.
-    beside
-        Value and unit, by name, of what a URDF has no place for, such as rotor inertia: a simulator needs it beside the file.
-    """
-
-    friction: dict[str, dict[str, float]]
-    left_out: tuple[str, ...] = ()
+    friction: dict[str, dict[str, float]]  # attributes of ``<dynamics>`` by joint: the identified damping and friction
+    left_out: tuple[str, ...] = ()  # identified friction that is negative, and so not written, ``joint1 damping``
+    #: Value and unit, by name, of what a URDF has no place for, such as rotor inertia: a simulator needs it beside the file.
     beside: dict[str, tuple[float, str]] = field(default_factory=dict)
 
     def comments(self) -> list[str]:

@@ -104,45 +104,25 @@ _SHOWN = 40  # characters of a value that a message quotes
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A joint as the file states it.
+    """A joint as the file states it."""
 
-    Attributes
-    ----------
-    name, kind, parent, child
-        Its name, type, and the links that it connects.
-    mimics
-        The joint that it follows, or None.
-    """
-
+    #: Its name, type, and the links that it connects.
     name: str
     kind: str
     parent: str
     child: str
-    mimics: str | None
+    mimics: str | None  # the joint that it follows, or None
 
 
 @dataclass(frozen=True)
 class UrdfFile:
-    """A URDF that has passed the checks, or what another format says as one.
+    """A URDF that has passed the checks, or what another format says as one."""
 
-    Attributes
-    ----------
-    path
-        The file that was read.
-    data
-        The whole document; of a URDF, byte by byte.
-    joints
-        By name.
-    warnings
-        What is doubtful in it, one line each.
-    inside
-        What an MJCF file states inside joints, by joint, as `bayesid.robot.mjcf.MjcfRobot` has it.
-    """
-
-    path: Path
-    data: bytes
-    joints: dict[str, UrdfJoint]
-    warnings: tuple[str, ...]
+    path: Path  # the file that was read
+    data: bytes  # the whole document; of a URDF, byte by byte
+    joints: dict[str, UrdfJoint]  # by name
+    warnings: tuple[str, ...]  # what is doubtful in it, one line each
+    #: What an MJCF file states inside joints, by joint, as `bayesid.robot.mjcf.MjcfRobot` has it.
     inside: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property

@@ -103,17 +103,10 @@ class GridProjection:
     Smooth values, as those of a smoothed trajectory, need not be computed at every sample. Polynomials of degree five
     through six grid points stand in for them, so that ``row = sum_k w(t_k) sum_j L_j(t_k) value_j``, and the inner sums over
     samples k are taken once for all values.
-
-    Attributes
-    ----------
-    weights
-        Of `begin` and the following grid points in each row (rows, span).
-    begin
-        Index of the first grid point that each row takes (rows,).
     """
 
-    weights: np.ndarray
-    begin: np.ndarray
+    weights: np.ndarray  # of `begin` and the following grid points in each row (rows, span)
+    begin: np.ndarray  # index of the first grid point that each row takes (rows,)
 
     #: Grid points needed before the first and after the last sample.
     BEFORE, AFTER = 2, 3

@@ -28,21 +28,13 @@ _RINGING = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Repeat:
-    """The same positions twice.
+    """The same positions twice."""
 
-    Attributes
-    ----------
-    first, second
-        Indices of the segments; the same one for a periodic motion.
-    lag
-        Of the second against the first, a number of seconds.
-    start, end
-        Times of the first [s].
-    """
-
+    #: Indices of the segments; the same one for a periodic motion.
     first: int
     second: int
-    lag: float
+    lag: float  # of the second against the first, a number of seconds
+    #: Times of the first [s].
     start: float
     end: float
 

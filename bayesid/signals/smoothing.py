@@ -51,33 +51,15 @@ POLYNOMIALS = _basis_polynomials()
 
 @dataclass(frozen=True)
 class Smoother:
-    """How a recording's positions are smoothed.
+    """How a recording's positions are smoothed."""
 
-    Attributes
-    ----------
-    bandwidth
-        Frequency up to which motion is kept [Hz]; the knots are 1 / (2 bandwidth) apart.
-    position_std
-        Random error of one position sample around the smooth motion (n,) [rad or m].
-    reason
-        Where the bandwidth comes from, one sentence.
-    automatic
-        The bandwidth that cross-validation chooses [Hz]; 0: there was nothing to choose from.
-    at_end
-        Whether that is the end of the range searched, so that it is no choice.
-    resolution
-        Encoder count [rad or m]; 0 where it is not known.
-    stated
-        Random error of one position sample on top of the count that is stated [rad or m]; 0: none.
-    """
-
-    bandwidth: float
-    position_std: np.ndarray
-    reason: str
-    automatic: float = 0.0
-    at_end: bool = False
-    resolution: float = 0.0
-    stated: float = 0.0
+    bandwidth: float  # frequency up to which motion is kept [Hz]; the knots are 1 / (2 bandwidth) apart
+    position_std: np.ndarray  # random error of one position sample around the smooth motion (n,) [rad or m]
+    reason: str  # where the bandwidth comes from, one sentence
+    automatic: float = 0.0  # the bandwidth that cross-validation chooses [Hz]; 0: there was nothing to choose from
+    at_end: bool = False  # whether that is the end of the range searched, so that it is no choice
+    resolution: float = 0.0  # encoder count [rad or m]; 0 where it is not known
+    stated: float = 0.0  # random error of one position sample on top of the count that is stated [rad or m]; 0: none
 
     @property
     def stated_error(self) -> float:

@@ -70,24 +70,12 @@ class Recorder:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What a simulated recording was made with.
+    """What a simulated recording was made with."""
 
-    Attributes
-    ----------
-    links
-        Ten parameters a body (b, 10).
-    terms
-        The effects with their values.
-    recorder
-        The instruments, all values filled in.
-    seed
-        Of everything random.
-    """
-
-    links: np.ndarray
-    terms: tuple[Term, ...]
-    recorder: Recorder
-    seed: int
+    links: np.ndarray  # ten parameters a body (b, 10)
+    terms: tuple[Term, ...]  # the effects with their values
+    recorder: Recorder  # the instruments, all values filled in
+    seed: int  # of everything random
 
     @property
     def effects(self) -> dict[str, dict[str, float]]:

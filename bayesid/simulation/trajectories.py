@@ -139,21 +139,12 @@ def new_trajectories(
 
 @dataclass(frozen=True, eq=False)
 class RecordedMotion:
-    """A recorded motion as a function of time: its smoothed positions are taken for the true ones.
+    """A recorded motion as a function of time: its smoothed positions are taken for the true ones."""
 
-    Attributes
-    ----------
-    motion
-        As it was recorded.
-    pieces
-        Times (N,) [s] and encoder positions (N, n) [rad or m] between gaps; none of poses at rest.
-    bandwidth
-        Up to which motion is kept [Hz].
-    """
-
-    motion: Motion
+    motion: Motion  # as it was recorded
+    #: Times (N,) [s] and encoder positions (N, n) [rad or m] between gaps; none of poses at rest.
     pieces: tuple[tuple[np.ndarray, np.ndarray], ...]
-    bandwidth: float
+    bandwidth: float  # up to which motion is kept [Hz]
 
     @classmethod
     def of(cls, motion: Motion, experiment: Experiment) -> RecordedMotion:

@@ -52,26 +52,17 @@ class Gap:
 
 @dataclass(frozen=True)
 class HausmanTest:
-    """Whether an estimator differs from the efficient one by more than the noise explains [Hausman1978]_.
+    """Whether an estimator differs from the efficient one by more than the noise explains [Hausman1978]_."""
 
-    Attributes
-    ----------
-    method, efficient
-        Which estimators.
-    statistic, degrees
-        ``d' (V - V_efficient)^-1 d`` and how many directions it sums; 0 where no direction can be tested.
-    probability
-        Of a statistic at least as large if both are consistent; None where the test does not apply.
-    reason
-        Why it does not apply.
-    """
-
+    #: Which estimators.
     method: str
     efficient: str
+    #: ``d' (V - V_efficient)^-1 d`` and how many directions it sums; 0 where no direction can be tested.
     statistic: float = 0.0
     degrees: int = 0
+    #: Of a statistic at least as large if both are consistent; None where the test does not apply.
     probability: float | None = None
-    reason: str = ""
+    reason: str = ""  # why it does not apply
 
     @property
     def contradiction(self) -> bool:

@@ -20,28 +20,15 @@ from bayesid.regression.readings import make_channels
 
 @dataclass(frozen=True)
 class Agreement:
-    """Whether two independent estimates of the same numbers agree.
+    """Whether two independent estimates of the same numbers agree."""
 
-    Attributes
-    ----------
-    first, second
-        What was compared.
-    compared
-        How many independent numbers both determine.
-    rms
-        Root mean square of their differences in standard deviations; 1 is expected.
-    probability
-        Of differences at least as large, if both were right.
-    worst
-        The number that differs most, with both values.
-    """
-
+    #: What was compared.
     first: str
     second: str
-    compared: int
-    rms: float
-    probability: float
-    worst: str
+    compared: int  # how many independent numbers both determine
+    rms: float  # root mean square of their differences in standard deviations; 1 is expected
+    probability: float  # of differences at least as large, if both were right
+    worst: str  # the number that differs most, with both values
 
     @property
     def contradiction(self) -> bool:

@@ -60,23 +60,15 @@ State = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Functions:
-    """Smooth functions of the joints' states over the range of the fitted motions.
+    """Smooth functions of the joints' states over the range of the fitted motions."""
 
-    Attributes
-    ----------
-    middle, half
-        Middle and half width of the range of positions (n,) [rad or m].
-    speed, acceleration
-        The largest (n,) [rad/s or m/s, and per second].
-    moving
-        Which joints move (n,).
-    """
-
+    #: Middle and half width of the range of positions (n,) [rad or m].
     middle: np.ndarray
     half: np.ndarray
+    #: The largest (n,) [rad/s or m/s, and per second].
     speed: np.ndarray
     acceleration: np.ndarray
-    moving: np.ndarray
+    moving: np.ndarray  # which joints move (n,)
 
     @classmethod
     def of(cls, state: State) -> Functions:
@@ -225,22 +217,13 @@ def _solved(
 
 @dataclass(frozen=True)
 class FlexibleGap:
-    """What a flexible model does to the error on a motion that was not fitted.
+    """What a flexible model does to the error on a motion that was not fitted."""
 
-    Attributes
-    ----------
-    before, after
-        Root mean square of the residual rows of all channels below 10 Hz, by the estimate and with the flexible model on top.
-    removed
-        Share of the error that the flexible model removes; negative where it adds some.
-    std
-        Its standard error, from the scatter between stretches of the motion.
-    """
-
+    #: Root mean square of the residual rows of all channels below 10 Hz, by the estimate and with the flexible model on top.
     before: float
     after: float
-    removed: float
-    std: float
+    removed: float  # share of the error that the flexible model removes; negative where it adds some
+    std: float  # its standard error, from the scatter between stretches of the motion
 
     @property
     def certain(self) -> bool:
@@ -254,25 +237,14 @@ class FlexibleGap:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows of one motion, or of those fitted, in signal units.
+    """Rows of one motion, or of those fitted, in signal units."""
 
-    Attributes
-    ----------
-    target, columns
-        Readings (k, c), and rigid and effect columns (k, c, p).
-    state
-        Of the joints.
-    inside
-        Which rows are in each stretch (k,).
-    step
-        Distance of rows [s].
-    """
-
+    #: Readings (k, c), and rigid and effect columns (k, c, p).
     target: np.ndarray
     columns: np.ndarray
-    state: State
-    inside: list[np.ndarray]
-    step: float
+    state: State  # of the joints
+    inside: list[np.ndarray]  # which rows are in each stretch (k,)
+    step: float  # distance of rows [s]
 
     def residual(self, solution: np.ndarray) -> np.ndarray:
         """What parameters (p,) leave (k, c)."""

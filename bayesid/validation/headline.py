@@ -25,18 +25,10 @@ _NAMED = 0.5
 
 @dataclass(frozen=True)
 class Judgement:
-    """A verdict in words.
+    """A verdict in words."""
 
-    Attributes
-    ----------
-    mood
-        ``good``, ``fair`` or ``bad``.
-    text
-        A clause that goes on after what was predicted.
-    """
-
-    mood: str
-    text: str
+    mood: str  # ``good``, ``fair`` or ``bad``
+    text: str  # a clause that goes on after what was predicted
 
 
 def judged(prediction: Prediction) -> Judgement:

@@ -49,25 +49,14 @@ _TAPERED, _LEAST = 0.2, 0.05
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """Noise that is left to a perfect model, in the cosine transform of samples.
+    """Noise that is left to a perfect model, in the cosine transform of samples."""
 
-    Attributes
-    ----------
-    sensor
-        Standard deviation of one sample's noise (c,) [unit of the channel]. Of noise that is not white: of white noise with as
-        much power below 10 Hz, for filtered readings hold next to none at some frequencies, where no model need hold none.
-    encoder
-        Power that encoder errors add to a coefficient, by frequency from zero to ``top`` (bins, c).
-    source
-        ``readings``, ``repeats``, ``parked`` or ``data sheet``.
-    top
-        Highest frequency [Hz]; above, it is as there.
-    """
-
+    #: Standard deviation of one sample's noise (c,) [unit of the channel]. Of noise that is not white: of white noise with as
+    #: much power below 10 Hz, for filtered readings hold next to none at some frequencies, where no model need hold none.
     sensor: np.ndarray
-    encoder: np.ndarray
-    source: str
-    top: float
+    encoder: np.ndarray  # power that encoder errors add to a coefficient, by frequency from zero to ``top`` (bins, c)
+    source: str  # ``readings``, ``repeats``, ``parked`` or ``data sheet``
+    top: float  # highest frequency [Hz]; above, it is as there
 
     @property
     def power(self) -> np.ndarray:

@@ -23,18 +23,12 @@ from bayesid.validation.prediction import Prediction, predict
 
 @dataclass(frozen=True, eq=False)
 class MotionErrors:
-    """What is left of one motion by the user's model, and by that with the effects named.
+    """What is left of one motion by the user's model, and by that with the effects named."""
 
-    Attributes
-    ----------
-    motion, fitted
-        Which, and whether it was fitted.
-    before, after
-        Predictions by the fits of both; ``after`` is None where no effect is named, or the model with it cannot be fitted.
-    """
-
+    #: Which, and whether it was fitted.
     motion: str
     fitted: bool
+    #: Predictions by the fits of both; ``after`` is None where no effect is named, or the model with it cannot be fitted.
     before: Prediction
     after: Prediction | None = None
 

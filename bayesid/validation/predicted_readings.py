@@ -17,27 +17,18 @@ from bayesid.regression.segment import Segment
 
 @dataclass(frozen=True, eq=False)
 class PredictedReadings:
-    """Readings that a model predicts, and how sure they are.
+    """Readings that a model predicts, and how sure they are."""
 
-    Attributes
-    ----------
-    channel_names, channel_units
-        What is read (c,).
-    values
-        Predicted readings (N, c), effects such as friction included.
-    std
-        Their standard deviations (N, c), from the covariance of all parameters; the noise of a single reading is not in them.
-        nan where the estimate has no honest covariance, or where the reading takes something that the data say nothing of. A
-        sum that they know, such as of a link's inertia and its rotor's, is known, whatever is open of its parts.
-    gravity
-        Whether they hold gravity; False where a static run was subtracted from what was fitted: then the estimate knows
-        the motion's part of the wrench only.
-    """
-
+    #: What is read (c,).
     channel_names: tuple[str, ...]
     channel_units: tuple[str, ...]
-    values: np.ndarray
+    values: np.ndarray  # predicted readings (N, c), effects such as friction included
+    #: Their standard deviations (N, c), from the covariance of all parameters; the noise of a single reading is not in them.
+    #: nan where the estimate has no honest covariance, or where the reading takes something that the data say nothing of. A sum
+    #: that they know, such as of a link's inertia and its rotor's, is known, whatever is open of its parts.
     std: np.ndarray
+    #: Whether they hold gravity; False where a static run was subtracted from what was fitted: then the estimate knows the
+    #: motion's part of the wrench only.
     gravity: bool = True
 
     @property

@@ -36,87 +36,54 @@ _PLOTTED = 4000
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Residual of a motion by frequency beside the noise that the intervals are built on.
+    """Residual of a motion by frequency beside the noise that the intervals are built on."""
 
-    Attributes
-    ----------
-    frequencies
-        (f,) [Hz], above zero, up to half the row rate.
-    residual, noise
-        One-sided amplitude spectral density of what was measured less what was predicted, and of the noise
-        model (f, c) [unit of the channel / sqrt(Hz)].
-    filtered
-        Whether both are those of rows behind the paper's low-passes, and so smaller than the sensor's.
-    """
-
-    frequencies: np.ndarray
+    frequencies: np.ndarray  # (f,) [Hz], above zero, up to half the row rate
+    #: One-sided amplitude spectral density of what was measured less what was predicted, and of the noise model (f, c) [unit of
+    #: the channel / sqrt(Hz)].
     residual: np.ndarray
     noise: np.ndarray
-    filtered: bool = False
+    filtered: bool = False  # whether both are those of rows behind the paper's low-passes, and so smaller than the sensor's
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Measured and predicted readings of one motion.
+    """Measured and predicted readings of one motion."""
 
-    Attributes
-    ----------
-    motion, role
-        Which recording.
-    channel_names, channel_units
-        What is measured (c,).
-    times, measured, predicted
-        In the band, at most 4000 evenly picked samples (k,), (k, c), (k, c).
-    rmse, rmse_raw
-        Root mean square error in the band and on raw samples (c,) [unit of the channel].
-    nrmse, nrmse_raw
-        The same over the root mean square of what was measured (c,).
-    whitened_rms
-        Of the residual below 10 Hz in units of the noise floor, the sensor's own noise and what encoder errors make of a
-        prediction; 1 is perfect.
-    whitened_rms_by_channel
-        (c,).
-    expected_rms
-        What ``whitened_rms`` is on average of a complete model: noise, and the uncertainty of the parameters (the mean of some
-        rows, where there are many).
-    noise_source
-        Where the floor comes from: ``readings``, ``parked`` or ``data sheet``; ``residuals`` where none of these tells it,
-        and the noise that the fit itself left stands in for it: model error counts as noise then.
-    coverage
-        Share of whitened residuals inside their central 95 % prediction interval.
-    repeats
-        Name of a fitted motion that this motion repeats, or None.
-    poses
-        Whether the samples are poses at rest, one by one, rather than a motion.
-    spectrum
-        Residual and noise by frequency; None for poses and segments too short to tell frequencies apart.
-    flexible
-        What a flexible model would take from the error of a motion that was not fitted; None where nothing tells.
-    fitted
-        Whether the estimate was fitted to this motion.
-    """
-
+    #: Which recording.
     motion: str
     role: str
+    #: What is measured (c,).
     channel_names: tuple[str, ...]
     channel_units: tuple[str, ...]
+    #: In the band, at most 4000 evenly picked samples (k,), (k, c), (k, c).
     times: np.ndarray
     measured: np.ndarray
     predicted: np.ndarray
+    #: Root mean square error in the band and on raw samples (c,) [unit of the channel].
     rmse: np.ndarray
     rmse_raw: np.ndarray
+    #: The same over the root mean square of what was measured (c,).
     nrmse: np.ndarray
     nrmse_raw: np.ndarray
+    #: Of the residual below 10 Hz in units of the noise floor, the sensor's own noise and what encoder errors make of a
+    #: prediction; 1 is perfect.
     whitened_rms: float
-    whitened_rms_by_channel: np.ndarray
-    coverage: float
+    whitened_rms_by_channel: np.ndarray  # (c,)
+    coverage: float  # share of whitened residuals inside their central 95 % prediction interval
+    #: What ``whitened_rms`` is on average of a complete model: noise, and the uncertainty of the parameters (the mean of some
+    #: rows, where there are many).
     expected_rms: float = 1.0
+    #: Where the floor comes from: ``readings``, ``parked`` or ``data sheet``; ``residuals`` where none of these tells it, and
+    #: the noise that the fit itself left stands in for it: model error counts as noise then.
     noise_source: str = RESIDUALS
-    repeats: str | None = None
-    poses: bool = False
+    repeats: str | None = None  # name of a fitted motion that this motion repeats, or None
+    poses: bool = False  # whether the samples are poses at rest, one by one, rather than a motion
+    #: Residual and noise by frequency; None for poses and segments too short to tell frequencies apart.
     spectrum: Spectrum | None = None
+    #: What a flexible model would take from the error of a motion that was not fitted; None where nothing tells.
     flexible: FlexibleGap | None = None
-    fitted: bool = False
+    fitted: bool = False  # whether the estimate was fitted to this motion
 
     @property
     def noise_known(self) -> bool:

@@ -178,24 +178,14 @@ def diagnose(
 
 @dataclass(frozen=True, eq=False)
 class _Decided:
-    """What a search found, and the verdict on it.
+    """What a search found, and the verdict on it."""
 
-    Attributes
-    ----------
-    search, sure
-        All that it found, and without what does not differ from zero.
-    gap
-        Of the latter on motions that were not fitted.
-    stability
-        Of its effects.
-    verdict, reason
-        And why, if that is ``unknown``.
-    """
-
+    #: All that it found, and without what does not differ from zero.
     search: Search
     sure: Search
-    gap: Gap | None
-    stability: tuple[Stability | None, ...]
+    gap: Gap | None  # of the latter on motions that were not fitted
+    stability: tuple[Stability | None, ...]  # of its effects
+    #: And why, if that is ``unknown``.
     verdict: Verdict
     reason: Reason
 

@@ -28,30 +28,14 @@ _POSES = "Take cables off, and come back to the first pose every few poses: what
 
 @dataclass(frozen=True, eq=False)
 class Explained:
-    """Fits without and with what a diagnosis names.
+    """Fits without and with what a diagnosis names."""
 
-    Attributes
-    ----------
-    first
-        Of the user's model.
-    best
-        With the effects found; the same where there are none.
-    rivals
-        With effects in their place that explain the readings as well.
-    effects
-        What was found.
-    diagnosis
-        All of it; None where it was left out or refused.
-    warnings
-        What the user should know.
-    """
-
-    first: Identification
-    best: Identification
-    rivals: tuple[Identification, ...] = ()
-    effects: tuple[EffectBeside, ...] = ()
-    diagnosis: Diagnosis | None = None
-    warnings: tuple[str, ...] = ()
+    first: Identification  # of the user's model
+    best: Identification  # with the effects found; the same where there are none
+    rivals: tuple[Identification, ...] = ()  # with effects in their place that explain the readings as well
+    effects: tuple[EffectBeside, ...] = ()  # what was found
+    diagnosis: Diagnosis | None = None  # all of it; None where it was left out or refused
+    warnings: tuple[str, ...] = ()  # what the user should know
 
     @property
     def verdict(self) -> str | None:

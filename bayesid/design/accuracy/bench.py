@@ -45,39 +45,22 @@ OFFSETS = {
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """What twins of an experiment are made from.
+    """What twins of an experiment are made from."""
 
-    Attributes
-    ----------
-    experiment
-        The user's.
-    problem, estimate
-        Its fit, linearised at the solution.
-    method, options
-        How it was fitted.
-    links
-        True link parameters (b, 10).
-    terms
-        Effects of the plant with their true values.
-    noise
-        Of single samples of one reading, in the problem's channels.
-    resolution, position_std
-        Encoder counts, 0 where they are not known, and random errors (n,) [rad or m].
-    nominal
-        Whether the true links are the nominal ones.
-    """
-
-    experiment: Experiment
+    experiment: Experiment  # the user's
+    #: Its fit, linearised at the solution.
     problem: Problem
     estimate: Estimate
+    #: How it was fitted.
     method: Estimator
     options: FitOptions
-    links: np.ndarray
-    terms: tuple[Term, ...]
-    noise: NoiseModel
+    links: np.ndarray  # true link parameters (b, 10)
+    terms: tuple[Term, ...]  # effects of the plant with their true values
+    noise: NoiseModel  # of single samples of one reading, in the problem's channels
+    #: Encoder counts, 0 where they are not known, and random errors (n,) [rad or m].
     resolution: float
     position_std: np.ndarray
-    nominal: bool = False
+    nominal: bool = False  # whether the true links are the nominal ones
 
     @property
     def rank(self) -> int:
@@ -213,34 +196,17 @@ _PERFECT = Recorder(resolution=0.0, position_std=0.0, force_std=0.0, torque_std=
 
 @dataclass(frozen=True)
 class Setting:
-    """How an experiment is recorded and fitted, relative to the user's own.
+    """How an experiment is recorded and fitted, relative to the user's own."""
 
-    Attributes
-    ----------
-    noise, encoder
-        Factors of the readings' noise, and of encoder counts and random encoder errors.
-    step
-        Resolution of the readings in standard deviations of the user's own noise; 0: none.
-    rate
-        Factor of the sampling rate: a whole number, or one over one.
-    length
-        Share of each motion that is recorded, from its start.
-    velocity
-        One of `bayesid.design.accuracy.fits.VELOCITIES`.
-    offset
-        A key of `OFFSETS`, or empty for the user's own treatment.
-    options
-        How it is fitted.
-    """
-
+    #: Factors of the readings' noise, and of encoder counts and random encoder errors.
     noise: float = 1.0
     encoder: float = 1.0
-    step: float = 0.0
-    rate: float = 1.0
-    length: float = 1.0
-    velocity: str = "smoothed"
-    offset: str = ""
-    options: FitOptions = field(default_factory=FitOptions)
+    step: float = 0.0  # resolution of the readings in standard deviations of the user's own noise; 0: none
+    rate: float = 1.0  # factor of the sampling rate: a whole number, or one over one
+    length: float = 1.0  # share of each motion that is recorded, from its start
+    velocity: str = "smoothed"  # one of `bayesid.design.accuracy.fits.VELOCITIES`
+    offset: str = ""  # a key of `OFFSETS`, or empty for the user's own treatment
+    options: FitOptions = field(default_factory=FitOptions)  # how it is fitted
 
 
 def own_setting(bench: Bench) -> Setting:

@@ -35,35 +35,21 @@ _SEEDS = 7_000_003
 
 @dataclass(frozen=True)
 class CoverageCertificate:
-    """Coverage found on twins.
+    """Coverage found on twins."""
 
-    Attributes
-    ----------
-    names
-        Of the base parameters (r,).
-    inside
-        Twins whose interval held the truth (r,).
-    counted
-        Twins that had an interval (r,).
-    twins, refused
-        How many were fitted, and how many could not be.
-    mean_z, std_z
-        Mean and standard deviation of error over the estimate's own standard deviation (r,).
-    overall, overall_error
-        Coverage of all parameters together, and its standard error from twin to twin.
-    method, seed
-        The estimator, and what the twins were drawn from.
-    """
-
-    names: tuple[str, ...]
-    inside: np.ndarray
-    counted: np.ndarray
+    names: tuple[str, ...]  # of the base parameters (r,)
+    inside: np.ndarray  # twins whose interval held the truth (r,)
+    counted: np.ndarray  # twins that had an interval (r,)
+    #: How many were fitted, and how many could not be.
     twins: int
     refused: int
+    #: Mean and standard deviation of error over the estimate's own standard deviation (r,).
     mean_z: np.ndarray
     std_z: np.ndarray
+    #: Coverage of all parameters together, and its standard error from twin to twin.
     overall: float
     overall_error: float
+    #: The estimator, and what the twins were drawn from.
     method: str
     seed: int
 

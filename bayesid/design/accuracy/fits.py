@@ -25,15 +25,10 @@ VELOCITIES = ("smoothed", "central", "forward")
 
 @dataclass(frozen=True, repr=False)
 class DifferencedRows(RowModel):
-    """Rows whose velocities, and accelerations where there is no filter, are differences of the encoders' positions.
+    """Rows whose velocities, and accelerations where there is no filter, are differences of the encoders' positions."""
 
-    Attributes
-    ----------
-    kind
-        ``central``: ``v_k = (q_{k+1} - q_{k-1}) / (t_{k+1} - t_{k-1})``; ``forward``:
-        ``v_k = (q_{k+1} - q_k) / (t_{k+1} - t_k)``, which is the velocity half a sample later.
-    """
-
+    #: ``central``: ``v_k = (q_{k+1} - q_{k-1}) / (t_{k+1} - t_{k-1})``; ``forward``: ``v_k = (q_{k+1} - q_k) / (t_{k+1} -
+    #: t_k)``, which is the velocity half a sample later.
     kind: str = "central"
 
     def state(self, segment: Segment, first: int, last: int) -> MotionSegment:
@@ -71,18 +66,10 @@ _OUTSIDE = 1e-6
 
 @dataclass(frozen=True)
 class Learned:
-    """What a fit of one twin learns beside the parameters, so that fits of its like need not learn it again.
+    """What a fit of one twin learns beside the parameters, so that fits of its like need not learn it again."""
 
-    Attributes
-    ----------
-    bandwidth
-        Of the joint motion [Hz].
-    weights
-        Noise of the rows.
-    """
-
-    bandwidth: float
-    weights: Weights
+    bandwidth: float  # of the joint motion [Hz]
+    weights: Weights  # noise of the rows
 
 
 @dataclass(frozen=True)

@@ -81,42 +81,24 @@ class _File(Section):
 
 @dataclass(frozen=True, eq=False)
 class CandidateSensor:
-    """A sensor that might be bought.
+    """A sensor that might be bought."""
 
-    Attributes
-    ----------
-    name, kind
-        What it is called, and a key of `KINDS`.
-    readings, units
-        Names and units of what it measures (m,).
-    std
-        Standard deviation of one sample of each, rounding to its resolution included (m,).
-    limit
-        Largest magnitude that each can read (m,); infinite where none is stated.
-    rate
-        Samples a second; None: those of the recording.
-    joint
-        Joint that a wrist sensor sits in.
-    rotation, translation
-        Pose of its frame in the base frame, or in that joint's child link (3, 3), (3,) [m].
-    load_map
-        From readings to the wrench in that frame (6, m): of load cells; None: the readings are the channels.
-    drives
-        Indices of the joints that torque sensors are in.
-    """
-
+    #: What it is called, and a key of `KINDS`.
     name: str
     kind: str
+    #: Names and units of what it measures (m,).
     readings: tuple[str, ...]
     units: tuple[str, ...]
-    std: np.ndarray
-    limit: np.ndarray
-    rate: float | None
-    joint: str | None
+    std: np.ndarray  # standard deviation of one sample of each, rounding to its resolution included (m,)
+    limit: np.ndarray  # largest magnitude that each can read (m,); infinite where none is stated
+    rate: float | None  # samples a second; None: those of the recording
+    joint: str | None  # joint that a wrist sensor sits in
+    #: Pose of its frame in the base frame, or in that joint's child link (3, 3), (3,) [m].
     rotation: np.ndarray
     translation: np.ndarray
+    #: From readings to the wrench in that frame (6, m): of load cells; None: the readings are the channels.
     load_map: np.ndarray | None = None
-    drives: tuple[int, ...] = ()
+    drives: tuple[int, ...] = ()  # indices of the joints that torque sensors are in
 
     @property
     def reading_map(self) -> np.ndarray:
@@ -208,31 +190,17 @@ def _each(values: list[float], key: str, count: int, kinds: int, place: str, oth
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """What one candidate would tell.
+    """What one candidate would tell."""
 
-    Attributes
-    ----------
-    candidate
-        The sensor.
-    determined
-        The combinations of link parameters that it determines, with their expected standard deviations.
-    names
-        Of the link parameters (P,).
-    link_std, prior_std
-        Their standard deviations with these readings and without, both with the nominal links as far as they are trusted (P,).
-    effects
-        By ``name@where`` the smallest share of an effect of usual size that would be seen; None: no plausible size is.
-    peak
-        Largest magnitude of every reading in these motions, weight included (m,).
-    """
-
-    candidate: CandidateSensor
-    determined: Shown
-    names: tuple[str, ...]
+    candidate: CandidateSensor  # the sensor
+    determined: Shown  # the combinations of link parameters that it determines, with their expected standard deviations
+    names: tuple[str, ...]  # of the link parameters (P,)
+    #: Their standard deviations with these readings and without, both with the nominal links as far as they are trusted (P,).
     link_std: np.ndarray
     prior_std: np.ndarray
+    #: By ``name@where`` the smallest share of an effect of usual size that would be seen; None: no plausible size is.
     effects: dict[str, float | None]
-    peak: np.ndarray
+    peak: np.ndarray  # largest magnitude of every reading in these motions, weight included (m,)
 
     @property
     def load(self) -> float:
@@ -276,21 +244,11 @@ class Outlook:
 
 @dataclass(frozen=True)
 class SensorChoice:
-    """Candidates side by side.
+    """Candidates side by side."""
 
-    Attributes
-    ----------
-    outlooks
-        One a candidate, in the order of the file.
-    rel_std
-        Relative standard deviation of the nominal links that intervals count with.
-    assumed
-        Whether the experiment did not state it.
-    """
-
-    outlooks: tuple[Outlook, ...]
-    rel_std: float
-    assumed: bool
+    outlooks: tuple[Outlook, ...]  # one a candidate, in the order of the file
+    rel_std: float  # relative standard deviation of the nominal links that intervals count with
+    assumed: bool  # whether the experiment did not state it
 
 
 def choose_sensor(

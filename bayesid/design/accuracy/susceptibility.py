@@ -38,27 +38,13 @@ _REWEIGHTED = 3
 
 @dataclass(frozen=True, eq=False)
 class Susceptibility:
-    """What one effect, left out of the model, does to an estimate.
+    """What one effect, left out of the model, does to an estimate."""
 
-    Attributes
-    ----------
-    effect
-        Which, and where.
-    values
-        Its size, one number a parameter.
-    bias
-        Estimate with it less estimate without it, of the base parameters (r,).
-    sigmas
-        The same in standard deviations of the estimate (r,); nan where there is none.
-    prediction
-        Error of predictions that this bias makes, as a share of the signal.
-    """
-
-    effect: Effect
-    values: tuple[float, ...]
-    bias: np.ndarray
-    sigmas: np.ndarray
-    prediction: float
+    effect: Effect  # which, and where
+    values: tuple[float, ...]  # its size, one number a parameter
+    bias: np.ndarray  # estimate with it less estimate without it, of the base parameters (r,)
+    sigmas: np.ndarray  # the same in standard deviations of the estimate (r,); nan where there is none
+    prediction: float  # error of predictions that this bias makes, as a share of the signal
 
     @property
     def largest(self) -> float:

@@ -44,47 +44,25 @@ _SEEDS = 1_000_003
 
 @dataclass(frozen=True)
 class Trial:
-    """One level of a factor.
+    """One level of a factor."""
 
-    Attributes
-    ----------
-    label
-        What it is, a few words.
-    value
-        The level as a multiple of the user's own; None where it is no number.
-    setting
-        The whole setting; None where a formula says what it does.
-    scale
-        Of a formula: the factor of the sensor noise's standard deviation, and that of all standard deviations.
-    improvement
-        What it would be called as an advice; empty where nobody would give it.
-    """
-
-    label: str
-    value: float | None
-    setting: Setting | None
+    label: str  # what it is, a few words
+    value: float | None  # the level as a multiple of the user's own; None where it is no number
+    setting: Setting | None  # the whole setting; None where a formula says what it does
+    #: Of a formula: the factor of the sensor noise's standard deviation, and that of all standard deviations.
     scale: tuple[float, float] = (1.0, 1.0)
-    improvement: str = ""
+    improvement: str = ""  # what it would be called as an advice; empty where nobody would give it
 
 
 @dataclass(frozen=True)
 class SweptFactor:
-    """A property of the experiment or of its evaluation, with the levels that it is tried at.
+    """A property of the experiment or of its evaluation, with the levels that it is tried at."""
 
-    Attributes
-    ----------
-    name, title
-        Key, and words.
-    own
-        The user's own level, in words.
-    trials
-        The others.
-    """
-
+    #: Key, and words.
     name: str
     title: str
-    own: str
-    trials: tuple[Trial, ...]
+    own: str  # the user's own level, in words
+    trials: tuple[Trial, ...]  # the others
 
 
 def has_formula(bench: Bench) -> bool:
@@ -240,90 +218,51 @@ def _offset(bench: Bench) -> SweptFactor:
 
 @dataclass(frozen=True)
 class Level:
-    """What one level of a factor does to the errors.
+    """What one level of a factor does to the errors."""
 
-    Attributes
-    ----------
-    label, value
-        As `bayesid.design.accuracy.sweeps.Trial`; 1 for the user's own level of a factor with numbers.
-    source
-        ``formula`` or ``simulation``; ``refused``: it cannot be fitted, `reason` says why.
-    bias, std, rms
-        Of the base parameters (r,); nan where they are not determined.
-    bias_error, std_error
-        Standard errors of these of a simulation (r,); zero where a formula gives them.
-    prediction, prediction_error
-        Root mean square error of predictions as a share of the signal, and its standard error.
-    prediction_ratio
-        That error over the one of the user's own setting, by formula where a formula says the error.
-    ratio, ratio_low, ratio_high
-        Median over the base parameters of the rms error over that of the user's own setting, with a 95 % interval.
-    lost
-        How many of the base parameters that the user's own setting determines are not determined.
-    improvement
-        What an advice would call it.
-    reason
-        Why it was refused.
-    """
-
+    #: As `bayesid.design.accuracy.sweeps.Trial`; 1 for the user's own level of a factor with numbers.
     label: str
     value: float | None
-    source: str
+    source: str  # ``formula`` or ``simulation``; ``refused``: it cannot be fitted, `reason` says why
+    #: Of the base parameters (r,); nan where they are not determined.
     bias: np.ndarray
     std: np.ndarray
     rms: np.ndarray
+    #: Standard errors of these of a simulation (r,); zero where a formula gives them.
     bias_error: np.ndarray
     std_error: np.ndarray
+    #: Root mean square error of predictions as a share of the signal, and its standard error.
     prediction: float
     prediction_error: float
-    prediction_ratio: float
+    prediction_ratio: float  # that error over the one of the user's own setting, by formula where a formula says the error
+    #: Median over the base parameters of the rms error over that of the user's own setting, with a 95 % interval.
     ratio: float
     ratio_low: float
     ratio_high: float
-    lost: int = 0
-    improvement: str = ""
-    reason: str = ""
+    lost: int = 0  # how many of the base parameters that the user's own setting determines are not determined
+    improvement: str = ""  # what an advice would call it
+    reason: str = ""  # why it was refused
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """One factor.
+    """One factor."""
 
-    Attributes
-    ----------
-    name, title
-        Of the factor.
-    levels
-        With the user's own among them.
-    own
-        Index of the user's own.
-    """
-
+    #: Of the factor.
     name: str
     title: str
-    levels: tuple[Level, ...]
-    own: int
+    levels: tuple[Level, ...]  # with the user's own among them
+    own: int  # index of the user's own
 
 
 @dataclass(frozen=True)
 class Sweeps:
-    """All factors, about one setting.
+    """All factors, about one setting."""
 
-    Attributes
-    ----------
-    own
-        The user's own setting, simulated.
-    formula
-        The same by formula, where one holds: the standard deviations (r,), else None.
-    sweeps
-        By factor.
-    runs, seed
-        Twins of every simulated level.
-    """
-
-    own: Level
-    formula: np.ndarray | None
-    sweeps: tuple[Sweep, ...]
+    own: Level  # the user's own setting, simulated
+    formula: np.ndarray | None  # the same by formula, where one holds: the standard deviations (r,), else None
+    sweeps: tuple[Sweep, ...]  # by factor
+    #: Twins of every simulated level.
     runs: int
     seed: int
 
@@ -418,22 +357,13 @@ def _simulated(
 
 @dataclass(frozen=True)
 class LinearErrors:
-    """Errors of a fit that is linear in the readings: ``cov = k^2 sensor + encoder``.
+    """Errors of a fit that is linear in the readings: ``cov = k^2 sensor + encoder``."""
 
-    Attributes
-    ----------
-    bench
-        The user's own experiment.
-    sensor, encoder
-        Covariances by the sensor's noise and by encoder errors (p, p).
-    bias
-        Without noise (p,).
-    """
-
-    bench: Bench
+    bench: Bench  # the user's own experiment
+    #: Covariances by the sensor's noise and by encoder errors (p, p).
     sensor: np.ndarray
     encoder: np.ndarray
-    bias: np.ndarray
+    bias: np.ndarray  # without noise (p,)
 
     def covariance(self, noise: float, all_of_it: float) -> np.ndarray:
         """For factors of the sensor noise's standard deviation, and of all standard deviations (p, p)."""

@@ -27,31 +27,19 @@ _SAMPLES, _DRAWS, _TOGETHER = 1500, 4000, 2_000_000
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Predicted readings of a trajectory, and their bands.
+    """Predicted readings of a trajectory, and their bands."""
 
-    Attributes
-    ----------
-    names, units
-        Of the channels (c,).
-    times
-        (N,) [s].
-    values, std
-        (N, c); ``std`` holds what is uncertain of the parameters and what the model lacks, once each.
-    model_error
-        The part of ``std`` that no parameter explains (N, c).
-    factor
-        Half the simultaneous band over the standard deviation; the whole trajectory is inside with probability `LEVEL`.
-    extrapolation
-        Largest standard deviation of each channel by the parameters over its largest in the motions that were fitted (c,).
-    """
-
+    #: Of the channels (c,).
     names: tuple[str, ...]
     units: tuple[str, ...]
-    times: np.ndarray
+    times: np.ndarray  # (N,) [s]
+    #: (N, c); ``std`` holds what is uncertain of the parameters and what the model lacks, once each.
     values: np.ndarray
     std: np.ndarray
-    model_error: np.ndarray
+    model_error: np.ndarray  # the part of ``std`` that no parameter explains (N, c)
+    #: Half the simultaneous band over the standard deviation; the whole trajectory is inside with probability `LEVEL`.
     factor: float
+    #: Largest standard deviation of each channel by the parameters over its largest in the motions that were fitted (c,).
     extrapolation: np.ndarray
 
     def __repr__(self) -> str:

@@ -39,24 +39,12 @@ def prior_links(base: BaseParameters, prior: Prior, count: int, seed: int) -> np
 
 @dataclass(frozen=True, eq=False)
 class LinkDraws:
-    """Links that can exist.
+    """Links that can exist."""
 
-    Attributes
-    ----------
-    links
-        Ten parameters a body (n, P).
-    effects
-        Effect parameters that go with them (n, e).
-    prior
-        Links by the prior alone, its bounds included (m, P); None where there was none.
-    complaint
-        What is doubtful about the draws; empty where nothing is.
-    """
-
-    links: np.ndarray
-    effects: np.ndarray
-    prior: np.ndarray | None
-    complaint: str = ""
+    links: np.ndarray  # ten parameters a body (n, P)
+    effects: np.ndarray  # effect parameters that go with them (n, e)
+    prior: np.ndarray | None  # links by the prior alone, its bounds included (m, P); None where there was none
+    complaint: str = ""  # what is doubtful about the draws; empty where nothing is
 
 
 def consistent_draws(

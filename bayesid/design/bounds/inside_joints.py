@@ -21,29 +21,16 @@ from bayesid.robot.robot import motion_limits
 
 @dataclass(frozen=True, eq=False)
 class InsideJoints:
-    """What is inside the joints, by joint (n,), as far as it was identified and as large as it usually is otherwise.
+    """What is inside the joints, by joint (n,), as far as it was identified and as large as it usually is otherwise."""
 
-    Attributes
-    ----------
-    joints
-        Their names.
-    identified
-        Specs of the effects inside the joints that were identified.
-    rotor, coulomb, viscous
-        Usual size where it was not identified, nan where it was [kg m^2, N m, N m s/rad; kg, N, N s/m].
-    rotor_share
-        The usual rotor inertia over the smallest diagonal element of the links' mass matrix.
-    friction_share
-        Usual friction at full speed over the largest torque of gravity; nan where there is none.
-    """
-
-    joints: tuple[str, ...]
-    identified: tuple[str, ...]
+    joints: tuple[str, ...]  # their names
+    identified: tuple[str, ...]  # specs of the effects inside the joints that were identified
+    #: Usual size where it was not identified, nan where it was [kg m^2, N m, N m s/rad; kg, N, N s/m].
     rotor: np.ndarray
     coulomb: np.ndarray
     viscous: np.ndarray
-    rotor_share: np.ndarray
-    friction_share: np.ndarray
+    rotor_share: np.ndarray  # the usual rotor inertia over the smallest diagonal element of the links' mass matrix
+    friction_share: np.ndarray  # usual friction at full speed over the largest torque of gravity; nan where there is none
 
     @property
     def complete(self) -> bool:

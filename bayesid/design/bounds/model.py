@@ -28,21 +28,11 @@ _OPEN, _STATES = 1e-6, 32
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """An effect inside a joint that was identified, with all its values.
+    """An effect inside a joint that was identified, with all its values."""
 
-    Attributes
-    ----------
-    effect
-        Which, and at which joint.
-    values
-        Of its parameters (k,).
-    columns
-        Those of ``values`` that were estimated, as indices.
-    """
-
-    effect: JointTorqueEffect
-    values: tuple[float, ...]
-    columns: tuple[int, ...]
+    effect: JointTorqueEffect  # which, and at which joint
+    values: tuple[float, ...]  # of its parameters (k,)
+    columns: tuple[int, ...]  # those of ``values`` that were estimated, as indices
 
     def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Torque at a state of its joint (N,) with its values, less what its columns make of them (N,), and columns (N, k)."""
@@ -53,28 +43,15 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class ReadingModel:
-    """Channels that are linear in parameters with a region.
+    """Channels that are linear in parameters with a region."""
 
-    Attributes
-    ----------
-    robot, channels
-        What moves and what is read.
-    base
-        Base parameters of these channels, the first of the region.
-    drives
-        What acts inside the joints, whose estimated values follow.
-    region
-        Of all parameters (k,).
-    draws
-        Base parameters of links that can exist (n, r), and what goes with them (n, k - r).
-    """
-
+    #: What moves and what is read.
     robot: Robot
     channels: Channels
-    base: BaseParameters
-    drives: tuple[Drive, ...]
-    region: Region
-    draws: np.ndarray
+    base: BaseParameters  # base parameters of these channels, the first of the region
+    drives: tuple[Drive, ...]  # what acts inside the joints, whose estimated values follow
+    region: Region  # of all parameters (k,)
+    draws: np.ndarray  # base parameters of links that can exist (n, r), and what goes with them (n, k - r)
 
     def columns(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Constant (N, c) and matrix (N, c, k) at states (N, n): readings are ``constant + matrix @ parameters``."""

@@ -37,41 +37,21 @@ from bayesid.regression.linalg import standard_deviations
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Box, ellipsoid and ball that each hold all parameters at once with probability `LEVEL`.
+    """Box, ellipsoid and ball that each hold all parameters at once with probability `LEVEL`."""
 
-    Attributes
-    ----------
-    names, labels, units
-        Of the parameters (k,).
-    values
-        Their centre b_hat (k,).
-    covariance
-        V (k, k).
-    factor
-        Half the box's width over the standard deviation, c.
-    ellipsoid
-        rho_V.
-    rho
-        Radius of the ball, in SI units of kg, kg m and kg m^2 together.
-    draws
-        Deviations from the centre that it was made of (n, k); None: a normal law.
-    prior_driven
-        Which parameters the data hardly narrow, so that prior or physical limits make their bounds (k,).
-    undetermined
-        Which parameters have no bounds of their own (k,): nothing is known of them, or only of their sums with others, such as a
-        link's and its rotor's inertia. What is known of the sums is in the covariance.
-    """
-
+    #: Of the parameters (k,).
     names: tuple[str, ...]
     labels: tuple[str, ...]
     units: tuple[str, ...]
-    values: np.ndarray
-    covariance: np.ndarray
-    factor: float
-    ellipsoid: float
-    rho: float
-    draws: np.ndarray | None
-    prior_driven: np.ndarray
+    values: np.ndarray  # their centre b_hat (k,)
+    covariance: np.ndarray  # V (k, k)
+    factor: float  # half the box's width over the standard deviation, c
+    ellipsoid: float  # rho_V
+    rho: float  # radius of the ball, in SI units of kg, kg m and kg m^2 together
+    draws: np.ndarray | None  # deviations from the centre that it was made of (n, k); None: a normal law
+    prior_driven: np.ndarray  # which parameters the data hardly narrow, so that prior or physical limits make their bounds (k,)
+    #: Which parameters have no bounds of their own (k,): nothing is known of them, or only of their sums with others, such as a
+    #: link's and its rotor's inertia. What is known of the sums is in the covariance.
     undetermined: np.ndarray
 
     def __repr__(self) -> str:

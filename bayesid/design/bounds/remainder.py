@@ -39,41 +39,21 @@ HALF = float(norm.ppf(0.5 + LEVEL / 2))
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """What is left of the readings of motions, by channel.
+    """What is left of the readings of motions, by channel."""
 
-    Attributes
-    ----------
-    channels
-        Names of the channels (c,).
-    motions
-        Names of the motions.
-    held_out
-        Whether none of them was fitted.
-    bound
-        99 % of the samples are below (c,) [N m or N].
-    speeds
-        Upper edges of classes of speed (c, k): the joint's own for its torque, the fastest joint's for the wrench [rad/s or m/s].
-    by_speed
-        The same bound in each class (c, k).
-    share
-        Root mean square of what is left over that of the readings (c,).
-    middles
-        Median speed in each class (c, k).
-    model_error
-        r by class: what the model lacks, as a standard deviation beside that of the parameters (c, k); zero where nothing does.
-    paths
-        What is left of each segment in units of ``sqrt(A V A' + r^2)`` (N, c), and its times (N,) [s].
-    """
-
-    channels: tuple[str, ...]
-    motions: tuple[str, ...]
-    held_out: bool
-    bound: np.ndarray
+    channels: tuple[str, ...]  # names of the channels (c,)
+    motions: tuple[str, ...]  # names of the motions
+    held_out: bool  # whether none of them was fitted
+    bound: np.ndarray  # 99 % of the samples are below (c,) [N m or N]
+    #: Upper edges of classes of speed (c, k): the joint's own for its torque, the fastest joint's for the wrench [rad/s or
+    #: m/s].
     speeds: np.ndarray
-    by_speed: np.ndarray
-    share: np.ndarray
-    middles: np.ndarray
+    by_speed: np.ndarray  # the same bound in each class (c, k)
+    share: np.ndarray  # root mean square of what is left over that of the readings (c,)
+    middles: np.ndarray  # median speed in each class (c, k)
+    #: r by class: what the model lacks, as a standard deviation beside that of the parameters (c, k); zero where nothing does.
     model_error: np.ndarray
+    #: What is left of each segment in units of ``sqrt(A V A' + r^2)`` (N, c), and its times (N,) [s].
     paths: tuple[tuple[np.ndarray, np.ndarray], ...]
 
     @property

@@ -34,55 +34,30 @@ _TOGETHER = 40_000  # pairs of a draw and a configuration that are worked on at 
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """What holds over the workspace with probability `LEVEL`, unless it is said to be the controller's model (``nominal``).
+    """What holds over the workspace with probability `LEVEL`, unless it is said to be the controller's model (``nominal``)."""
 
-    Attributes
-    ----------
-    configurations, draws
-        How many of each.
-    lower, upper
-        Range of the joints (n,) [rad or m].
-    ratio
-        Smallest and largest eigenvalue of M_hat relative to M.
-    alpha
-        Largest distance of those from 1.
-    eigenvalues
-        Smallest and largest eigenvalue of M itself [kg m^2, and kg where joints slide].
-    smallest_drawn
-        Smallest eigenvalue of any draw's M at any configuration: above 0, every draw is positive definite.
-    nominal_eigenvalue
-        Smallest eigenvalue of M_hat with the centre of the parameters.
-    of_urdf
-        Whether that is not positive, so that M_hat and all bounds are those of the links in ``identified.urdf``.
-    inertia
-        Smallest and largest diagonal element of M_hat by joint (n, 2).
-    inertia_error
-        Largest error of each diagonal element relative to it (n,).
-    coriolis, coriolis_error
-        ``||B_hat||`` and the bound of ``||B_hat - B||``.
-    gravity, gravity_error
-        Largest ``|g_hat|`` by joint, and the bounds of the error that hold for all joints at once (n,) [N m or N].
-    acceleration_from_gravity, acceleration_from_coriolis
-        Bounds of ``||M^-1 (g_hat - g)||`` and of ``||M^-1 (B_hat - B)||``: what computed torque leaves, besides
-        ``alpha ||a||``, of which the second goes with ``||v||^2``.
-    """
-
+    #: How many of each.
     configurations: int
     draws: int
+    #: Range of the joints (n,) [rad or m].
     lower: np.ndarray
     upper: np.ndarray
-    ratio: tuple[float, float]
-    alpha: float
-    eigenvalues: tuple[float, float]
-    smallest_drawn: float
-    nominal_eigenvalue: float
-    of_urdf: bool
-    inertia: np.ndarray
-    inertia_error: np.ndarray
+    ratio: tuple[float, float]  # smallest and largest eigenvalue of M_hat relative to M
+    alpha: float  # largest distance of those from 1
+    eigenvalues: tuple[float, float]  # smallest and largest eigenvalue of M itself [kg m^2, and kg where joints slide]
+    smallest_drawn: float  # smallest eigenvalue of any draw's M at any configuration: above 0, every draw is positive definite
+    nominal_eigenvalue: float  # smallest eigenvalue of M_hat with the centre of the parameters
+    of_urdf: bool  # whether that is not positive, so that M_hat and all bounds are those of the links in ``identified.urdf``
+    inertia: np.ndarray  # smallest and largest diagonal element of M_hat by joint (n, 2)
+    inertia_error: np.ndarray  # largest error of each diagonal element relative to it (n,)
+    #: ``||B_hat||`` and the bound of ``||B_hat - B||``.
     coriolis: float
     coriolis_error: float
+    #: Largest ``|g_hat|`` by joint, and the bounds of the error that hold for all joints at once (n,) [N m or N].
     gravity: np.ndarray
     gravity_error: np.ndarray
+    #: Bounds of ``||M^-1 (g_hat - g)||`` and of ``||M^-1 (B_hat - B)||``: what computed torque leaves, besides ``alpha ||a||``,
+    #: of which the second goes with ``||v||^2``.
     acceleration_from_gravity: float
     acceleration_from_coriolis: float
 
@@ -104,21 +79,11 @@ def sobol_configurations(robot: Robot, count: int, seed: int) -> tuple[np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """Mass matrix, Coriolis and gravity, linear in the parameters, at some configurations.
+    """Mass matrix, Coriolis and gravity, linear in the parameters, at some configurations."""
 
-    Attributes
-    ----------
-    mass
-        (m, n, n, k).
-    coriolis
-        (m, n, n (n + 1) / 2, k).
-    gravity
-        (m, n, k).
-    """
-
-    mass: np.ndarray
-    coriolis: np.ndarray
-    gravity: np.ndarray
+    mass: np.ndarray  # (m, n, n, k)
+    coriolis: np.ndarray  # (m, n, n (n + 1) / 2, k)
+    gravity: np.ndarray  # (m, n, k)
 
     @classmethod
     def of(cls, model: ReadingModel, positions: np.ndarray) -> Terms:

@@ -31,19 +31,12 @@ _CANDIDATES = 400
 
 @dataclass(frozen=True, eq=False)
 class ScriptedBlock:
-    """A scripted block.
+    """A scripted block."""
 
-    Attributes
-    ----------
-    kind, shows
-        One of `BLOCKS`, and what it shows.
-    trajectory
-        Its motion; its name is that of its table.
-    """
-
+    #: One of `BLOCKS`, and what it shows.
     kind: str
     shows: str
-    trajectory: Trajectory
+    trajectory: Trajectory  # its motion; its name is that of its table
 
     @property
     def seconds(self) -> float:

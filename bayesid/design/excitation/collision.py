@@ -29,28 +29,15 @@ _ROTATION, _ORIGIN = slice(0, 9), slice(9, 12)
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """Bodies that must not come nearer to each other than a margin.
+    """Bodies that must not come nearer to each other than a margin."""
 
-    Attributes
-    ----------
-    robot
-        What moves.
-    names
-        The pairs' names.
-    carriers
-        Joint that carries each of the two bodies of a pair, -1 for what does not move (p, 2).
-    margins, scale
-        Least distance of each pair (p,) [m]; distance that changes a ratio by one [m].
-    notes
-        What was left out, and why.
-    """
-
-    robot: Robot
-    names: tuple[str, ...]
-    carriers: np.ndarray
+    robot: Robot  # what moves
+    names: tuple[str, ...]  # the pairs' names
+    carriers: np.ndarray  # joint that carries each of the two bodies of a pair, -1 for what does not move (p, 2)
+    #: Least distance of each pair (p,) [m]; distance that changes a ratio by one [m].
     margins: np.ndarray
     scale: float
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what was left out, and why
     _collisions: _Collisions
 
     def __repr__(self) -> str:

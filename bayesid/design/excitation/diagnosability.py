@@ -31,23 +31,16 @@ _SAMPLES, _NOTHING, _SAME = 300, 1e-5, 1.0 - 1e-6
 
 @dataclass(frozen=True)
 class Detectable:
-    """What a motion could show of one effect.
+    """What a motion could show of one effect."""
 
-    Attributes
-    ----------
-    spec, parameter, unit
-        The effect and its place; the parameter that gives its size.
-    usual, smallest
-        A usual size, and the smallest that stands out.
-    rival, share
-        The effect that explains most of its trace, and how much of it; None and 0 without any other.
-    """
-
+    #: The effect and its place; the parameter that gives its size.
     spec: str
     parameter: str
     unit: str
+    #: A usual size, and the smallest that stands out.
     usual: float
     smallest: float
+    #: The effect that explains most of its trace, and how much of it; None and 0 without any other.
     rival: str | None
     share: float
 

@@ -135,35 +135,18 @@ class Criterion:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What is measured and estimated: from a motion to its information matrix.
+    """What is measured and estimated: from a motion to its information matrix."""
 
-    Attributes
-    ----------
-    robot, channels, sensor_set
-        What moves and what is measured.
-    base
-        Base parameters of these readings.
-    scale
-        L (r, r): base parameters are L times numbers of about size one.
-    std
-        Standard deviation of one sample of each channel (c,).
-    effects
-        What is estimated beside, as far as its columns follow from the joint motion alone.
-    left_out
-        The model's effects that this is not so for.
-    kernel
-        The regressor's.
-    """
-
+    #: What moves and what is measured.
     robot: Robot
     channels: Channels
     sensor_set: SensorSet
-    base: BaseParameters
-    scale: np.ndarray
-    std: np.ndarray
-    effects: tuple[Effect, ...]
-    left_out: tuple[str, ...]
-    kernel: Kernel
+    base: BaseParameters  # base parameters of these readings
+    scale: np.ndarray  # L (r, r): base parameters are L times numbers of about size one
+    std: np.ndarray  # standard deviation of one sample of each channel (c,)
+    effects: tuple[Effect, ...]  # what is estimated beside, as far as its columns follow from the joint motion alone
+    left_out: tuple[str, ...]  # the model's effects that this is not so for
+    kernel: Kernel  # the regressor's
 
     @classmethod
     def of(

@@ -23,27 +23,13 @@ _BLOCK = 4096
 
 @dataclass(frozen=True, eq=False)
 class LoadLimit:
-    """Readings that must not become too large.
+    """Readings that must not become too large."""
 
-    Attributes
-    ----------
-    kind
-        ``torque`` or ``wrench``.
-    channels
-        What is read.
-    most
-        Largest magnitude of each channel (c,), infinite where there is no limit.
-    links
-        Ten parameters a body (b, 10).
-    kernel
-        The regressor's, of all link parameters.
-    """
-
-    kind: str
-    channels: Channels
-    most: np.ndarray
-    links: np.ndarray
-    kernel: Kernel
+    kind: str  # ``torque`` or ``wrench``
+    channels: Channels  # what is read
+    most: np.ndarray  # largest magnitude of each channel (c,), infinite where there is no limit
+    links: np.ndarray  # ten parameters a body (b, 10)
+    kernel: Kernel  # the regressor's, of all link parameters
 
     def readings(self, motion: Motion) -> np.ndarray:
         """What the channels read (N, c) [N, N m]."""

@@ -165,33 +165,19 @@ _MARGINS = (0.003, 0.01, 0.03)
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is optimised.
+    """What is optimised."""
 
-    Attributes
-    ----------
-    information, criterion, limits
-        What a motion tells, how that is judged, and what it must keep to.
-    coordinates, dense
-        The motions that are searched, and the same with more samples of a period, for their limits.
-    recorded
-        Samples that will be recorded in all.
-    fine
-        Even samples of a period on which limits are tested.
-    rank
-        How many base parameters the richest motion of these joints would determine.
-    quantities
-        Quantities that are reported as well.
-    """
-
+    #: What a motion tells, how that is judged, and what it must keep to.
     information: Information
     criterion: Criterion
     limits: Limits
+    #: The motions that are searched, and the same with more samples of a period, for their limits.
     coordinates: Coordinates
     dense: Coordinates
-    recorded: float
-    fine: int
-    rank: int
-    quantities: tuple[JudgedQuantity, ...] = ()
+    recorded: float  # samples that will be recorded in all
+    fine: int  # even samples of a period on which limits are tested
+    rank: int  # how many base parameters the richest motion of these joints would determine
+    quantities: tuple[JudgedQuantity, ...] = ()  # quantities that are reported as well
 
     @property
     def step(self) -> float:
@@ -214,29 +200,16 @@ class Task:
 
 @dataclass
 class TrajectorySearch:
-    """The best motion so far, and how it came about; kept while the search runs, so that it can be stopped at any time.
+    """The best motion so far, and how it came about; kept while the search runs, so that it can be stopped at any time."""
 
-    Attributes
-    ----------
-    best, value
-        The best feasible motion, and its criterion.
-    random
-        Criterion of every random feasible motion.
-    finalists
-        Criterion and motion of the best of each start.
-    history
-        (seconds, criterion of the best so far).
-    interrupted
-        Whether somebody stopped the search.
-    """
-
+    #: The best feasible motion, and its criterion.
     best: FourierSeries | None = None
     value: float = np.inf
-    random: list[float] = field(default_factory=list)
-    finalists: list[tuple[float, FourierSeries]] = field(default_factory=list)
-    history: list[tuple[float, float]] = field(default_factory=list)
+    random: list[float] = field(default_factory=list)  # criterion of every random feasible motion
+    finalists: list[tuple[float, FourierSeries]] = field(default_factory=list)  # criterion and motion of the best of each start
+    history: list[tuple[float, float]] = field(default_factory=list)  # (seconds, criterion of the best so far)
     _local: tuple[float, FourierSeries] | None = None
-    interrupted: bool = False
+    interrupted: bool = False  # whether somebody stopped the search
     _since: float = field(default_factory=time.perf_counter)
 
     def offer(self, series: FourierSeries, value: float) -> None:

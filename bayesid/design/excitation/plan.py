@@ -58,35 +58,19 @@ _SPECTRUM = 2048
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """An exciting trajectory, and all that says why.
+    """An exciting trajectory, and all that says why."""
 
-    Attributes
-    ----------
-    experiment, options
-        What was asked.
-    task, search
-        What was optimised, and how that went.
-    series
-        The motion.
-    trajectory
-        The same, sampled as it will be recorded.
-    worst
-        Largest ratios to the limits, by kind, at ten times the rate.
-    diagnosability
-        What it could show beyond the model, where that was asked for.
-    notes
-        What was assumed or left out, one line each.
-    """
-
+    #: What was asked.
     experiment: Experiment
     options: ExcitationOptions
+    #: What was optimised, and how that went.
     task: Task
     search: TrajectorySearch
-    series: FourierSeries
-    trajectory: Trajectory
-    worst: dict[str, np.ndarray]
-    diagnosability: Diagnosability | None
-    notes: tuple[str, ...]
+    series: FourierSeries  # the motion
+    trajectory: Trajectory  # the same, sampled as it will be recorded
+    worst: dict[str, np.ndarray]  # largest ratios to the limits, by kind, at ten times the rate
+    diagnosability: Diagnosability | None  # what it could show beyond the model, where that was asked for
+    notes: tuple[str, ...]  # what was assumed or left out, one line each
 
 
 def sensor_set_of(experiment: Experiment, options: ExcitationOptions) -> SensorSet:

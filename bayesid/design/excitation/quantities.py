@@ -32,22 +32,13 @@ _STATES = 200
 
 @dataclass(frozen=True, eq=False)
 class JudgedQuantity:
-    """A quantity that a motion is judged by.
+    """A quantity that a motion is judged by."""
 
-    Attributes
-    ----------
-    name, unit
-        As asked for, and of its standard deviation.
-    information
-        What is estimated: the links' base parameters, or one body's.
-    functions
-        C: the variance is ``trace(C' cov(beta) C)`` (r, m).
-    """
-
+    #: As asked for, and of its standard deviation.
     name: str
     unit: str
-    information: Information
-    functions: np.ndarray
+    information: Information  # what is estimated: the links' base parameters, or one body's
+    functions: np.ndarray  # c: the variance is ``trace(C' cov(beta) C)`` (r, m)
 
     @property
     def scaled(self) -> np.ndarray:

@@ -16,20 +16,11 @@ from scipy.linalg import null_space
 
 @dataclass(frozen=True, eq=False)
 class FourierSeries:
-    """A periodic joint motion.
+    """A periodic joint motion."""
 
-    Attributes
-    ----------
-    period
-        [s].
-    centre
-        Mean positions (n,) [rad or m].
-    sine, cosine
-        Coefficients s and r of each multiple of the fundamental frequency (K, n) [rad or m].
-    """
-
-    period: float
-    centre: np.ndarray
+    period: float  # [s]
+    centre: np.ndarray  # mean positions (n,) [rad or m]
+    #: Coefficients s and r of each multiple of the fundamental frequency (K, n) [rad or m].
     sine: np.ndarray
     cosine: np.ndarray
 

@@ -23,26 +23,15 @@ _SPEED, _ACCELERATION = 1.875, 10.0 / np.sqrt(3.0)
 
 @dataclass(frozen=True, eq=False)
 class StopAndGo:
-    """Stops of a static run.
+    """Stops of a static run."""
 
-    Attributes
-    ----------
-    positions
-        Where the robot stops (k, n) [rad or m].
-    arrive, start, end
-        Times at which it arrives, and between which it is read (k,) [s].
-    rows
-        Row of ``trajectory.csv`` that each stop belongs to (k,).
-    every_sample
-        Whether every sample of the motion has its stop, so that readings can be subtracted row by row.
-    """
-
-    positions: np.ndarray
+    positions: np.ndarray  # where the robot stops (k, n) [rad or m]
+    #: Times at which it arrives, and between which it is read (k,) [s].
     arrive: np.ndarray
     start: np.ndarray
     end: np.ndarray
-    rows: np.ndarray
-    every_sample: bool
+    rows: np.ndarray  # row of ``trajectory.csv`` that each stop belongs to (k,)
+    every_sample: bool  # whether every sample of the motion has its stop, so that readings can be subtracted row by row
 
     @property
     def seconds(self) -> float:

@@ -45,27 +45,18 @@ _MOMENTS = ("Ixx", "Iyy", "Izz")
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number of the body with its interval.
+    """A number of the body with its interval."""
 
-    Attributes
-    ----------
-    name, unit
-        Such as ``x`` and ``m``.
-    value, std
-        Estimate and standard deviation; nan where the data do not show it.
-    low, high
-        Ends of the central 95 % interval; infinite or nan where there is none.
-    shown
-        Whether the data show it.
-    """
-
+    #: Such as ``x`` and ``m``.
     name: str
     unit: str
+    #: Estimate and standard deviation; nan where the data do not show it.
     value: float
     std: float
+    #: Ends of the central 95 % interval; infinite or nan where there is none.
     low: float
     high: float
-    shown: bool
+    shown: bool  # whether the data show it
 
     @classmethod
     def unknown(cls, name: str, unit: str, low: float = -inf, high: float = inf) -> Quantity:
@@ -95,22 +86,13 @@ class Quantity:
 
 @dataclass(frozen=True, eq=False)
 class BodyKnowledge:
-    """What is known of a body's ten parameters.
+    """What is known of a body's ten parameters."""
 
-    Attributes
-    ----------
-    mean, covariance
-        In the order of `bayesid.robot.inertia.PARAMETERS` (10,), (10, 10); along ``hidden`` they say nothing.
-    hidden
-        Directions of which nothing is known (10, k).
-    freedom
-        Degrees of freedom that the noise was estimated from.
-    """
-
+    #: In the order of `bayesid.robot.inertia.PARAMETERS` (10,), (10, 10); along ``hidden`` they say nothing.
     mean: np.ndarray
     covariance: np.ndarray
-    hidden: np.ndarray = field(default_factory=lambda: np.zeros((10, 0)))
-    freedom: float = inf
+    hidden: np.ndarray = field(default_factory=lambda: np.zeros((10, 0)))  # directions of which nothing is known (10, k)
+    freedom: float = inf  # degrees of freedom that the noise was estimated from
 
     @classmethod
     def of(cls, matrix: np.ndarray, values: np.ndarray, covariance: np.ndarray, freedom: float = inf) -> BodyKnowledge:

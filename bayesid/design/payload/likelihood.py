@@ -51,19 +51,12 @@ class ProfilePoint:
 
 @dataclass(eq=False)
 class HeldCombination:
-    """Sums of squares with a combination of the base parameters held.
+    """Sums of squares with a combination of the base parameters held."""
 
-    Attributes
-    ----------
-    problem, estimate
-        A fit to readings that are not linear in its effects.
-    slope
-        The combination that is held (p,), of base parameters alone.
-    """
-
+    #: A fit to readings that are not linear in its effects.
     problem: Problem
     estimate: Estimate
-    slope: np.ndarray
+    slope: np.ndarray  # the combination that is held (p,), of base parameters alone
     _last: tuple[np.ndarray, np.ndarray, np.ndarray] | None = field(default=None, init=False)
 
     def __post_init__(self):

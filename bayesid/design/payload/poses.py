@@ -37,27 +37,14 @@ _OPEN = 1e6
 
 @dataclass(frozen=True, eq=False)
 class NextPoses:
-    """Poses to record next.
+    """Poses to record next."""
 
-    Attributes
-    ----------
-    positions
-        Joint positions (k, n) [rad or m]; none where the accuracy is reached.
-    wanted
-        Half widths of the 95 % intervals that were asked for: mass [kg], centre of mass along any axis [m].
-    expected
-        Those expected once these poses are recorded, too.
-    reached
-        Whether these poses suffice.
-    apart
-        Whether the robot's own bodies were kept apart; not where its URDF has no shapes of bodies that could meet.
-    """
-
-    positions: np.ndarray
+    positions: np.ndarray  # joint positions (k, n) [rad or m]; none where the accuracy is reached
+    #: Half widths of the 95 % intervals that were asked for: mass [kg], centre of mass along any axis [m].
     wanted: tuple[float, float]
-    expected: tuple[float, float]
-    reached: bool
-    apart: bool
+    expected: tuple[float, float]  # those expected once these poses are recorded, too
+    reached: bool  # whether these poses suffice
+    apart: bool  # whether the robot's own bodies were kept apart; not where its URDF has no shapes of bodies that could meet
 
 
 def next_poses(problem: Problem, estimate: Estimate, body: int, wanted: tuple[float, float], seed: int = 0) -> NextPoses:

@@ -42,21 +42,11 @@ _RACE, _KEPT, _STEPS = 3, 2, 9
 
 @dataclass(frozen=True, eq=False)
 class SeenInstruments:
-    """Instruments as the recordings show them.
+    """Instruments as the recordings show them."""
 
-    Attributes
-    ----------
-    data
-        The recordings.
-    like
-        A moving segment of them: rates, bandwidth and noise are taken from it.
-    noise
-        Covariance of a sample by frequency, sensors' and what the encoders' errors do to predictions (K, c, c).
-    """
-
-    data: DiagnosisData
-    like: Segment
-    noise: np.ndarray
+    data: DiagnosisData  # the recordings
+    like: Segment  # a moving segment of them: rates, bandwidth and noise are taken from it
+    noise: np.ndarray  # covariance of a sample by frequency, sensors' and what the encoders' errors do to predictions (K, c, c)
 
     @classmethod
     def of(cls, fitted: Fit) -> SeenInstruments:
@@ -169,26 +159,16 @@ _FIRST, _LAST = 0.4, 0.05
 
 @dataclass(frozen=True)
 class RivalPair:
-    """How likely a motion tells one rival from another.
+    """How likely a motion tells one rival from another."""
 
-    Attributes
-    ----------
-    true, other
-        Their names; the first is the true one.
-    noncentrality
-        What the best fit of the other leaves of the motion, in squared standard deviations.
-    gain, std
-        Log evidence of the true one over the other afterwards: expected, and its standard deviation.
-    probability
-        That the other is ruled out.
-    """
-
+    #: Their names; the first is the true one.
     true: str
     other: str
-    noncentrality: float
+    noncentrality: float  # what the best fit of the other leaves of the motion, in squared standard deviations
+    #: Log evidence of the true one over the other afterwards: expected, and its standard deviation.
     gain: float
     std: float
-    probability: float
+    probability: float  # that the other is ruled out
 
 
 @dataclass(frozen=True, eq=False)

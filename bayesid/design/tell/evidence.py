@@ -42,31 +42,17 @@ _DRAWN = 4000
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """A model that explains the recordings so far.
+    """A model that explains the recordings so far."""
 
-    Attributes
-    ----------
-    name
-        Of the effects that tell it from the others.
-    fit
-        Its fit.
-    evidence
-        Log evidence from the recordings so far, over the dispersion factor, but for a constant that all rivals share.
-    factor
-        R, triangular factor of the information on links, offset and its free parameters, in units of the dispersed noise
-        (s + k, s + k).
-    dispersion
-        Dispersion factor, by which the noise's power is larger than measured.
-    rows
-        Rows of the recordings that count.
-    """
-
-    name: str
-    fit: Fit
+    name: str  # of the effects that tell it from the others
+    fit: Fit  # its fit
+    #: Log evidence from the recordings so far, over the dispersion factor, but for a constant that all rivals share.
     evidence: float
+    #: R, triangular factor of the information on links, offset and its free parameters, in units of the dispersed noise (s + k,
+    #: s + k).
     factor: np.ndarray
-    dispersion: float
-    rows: int
+    dispersion: float  # dispersion factor, by which the noise's power is larger than measured
+    rows: int  # rows of the recordings that count
 
     def cost(self, factor: np.ndarray, rows: int) -> float:
         """What its free parameters cost of the log evidence, over the dispersion factor, with so much information."""
@@ -80,21 +66,11 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class PredictedRows:
-    """What rivals predict of a motion, in units of the dispersed noise and reduced to a few rows.
+    """What rivals predict of a motion, in units of the dispersed noise and reduced to a few rows."""
 
-    Attributes
-    ----------
-    readings
-        m_i, the first rival's subtracted (rivals, t).
-    columns
-        J_i of each rival (t, s + k_i).
-    count
-        Rows that are data.
-    """
-
-    readings: np.ndarray
-    columns: tuple[np.ndarray, ...]
-    count: int
+    readings: np.ndarray  # m_i, the first rival's subtracted (rivals, t)
+    columns: tuple[np.ndarray, ...]  # j_i of each rival (t, s + k_i)
+    count: int  # rows that are data
 
     @classmethod
     def of(cls, columns: Sequence[np.ndarray], readings: Sequence[np.ndarray], count: int) -> PredictedRows:
@@ -107,26 +83,14 @@ class PredictedRows:
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """What a motion would do to the evidence between rivals.
+    """What a motion would do to the evidence between rivals."""
 
-    Attributes
-    ----------
-    rivals
-        The models.
-    rows
-        What they predict of it.
-    needed
-        Difference of log evidence from which one rules the other out.
-    shares
-        Of the distance between the row's rival and the column's, what exact fits leave of it (rivals, rivals); None: all.
-    lost
-        Log evidence so far of the row's rival over the column's that exact fits take back (rivals, rivals); None: nothing.
-    """
-
-    rivals: tuple[Rival, ...]
-    rows: PredictedRows
-    needed: float
+    rivals: tuple[Rival, ...]  # the models
+    rows: PredictedRows  # what they predict of it
+    needed: float  # difference of log evidence from which one rules the other out
+    #: Of the distance between the row's rival and the column's, what exact fits leave of it (rivals, rivals); None: all.
     shares: np.ndarray | None = None
+    #: Log evidence so far of the row's rival over the column's that exact fits take back (rivals, rivals); None: nothing.
     lost: np.ndarray | None = None
 
     def _lead(self, i: int, j: int) -> float:

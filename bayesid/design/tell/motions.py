@@ -23,24 +23,12 @@ _SLOWER, _SMALLER, _TRIALS = 0.8, 0.7, 8
 
 @dataclass(frozen=True)
 class Pace:
-    """How the path's parameter goes with time: speeds from given times on, each reached within a ramp.
+    """How the path's parameter goes with time: speeds from given times on, each reached within a ramp."""
 
-    Attributes
-    ----------
-    starts
-        Times at which a ramp to the next speed begins (k,) [s].
-    speeds
-        Speeds reached (k,), the last zero; before the first, zero.
-    ramp
-        Time that a change of speed takes [s].
-    label
-        What it is called.
-    """
-
-    starts: tuple[float, ...]
-    speeds: tuple[float, ...]
-    ramp: float
-    label: str
+    starts: tuple[float, ...]  # times at which a ramp to the next speed begins (k,) [s]
+    speeds: tuple[float, ...]  # speeds reached (k,), the last zero; before the first, zero
+    ramp: float  # time that a change of speed takes [s]
+    label: str  # what it is called
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The parameter and its first two derivatives (N,) each; the third is continuous, too.
@@ -70,28 +58,15 @@ def paces(duration: float) -> tuple[Pace, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """A motion that could be made.
+    """A motion that could be made."""
 
-    Attributes
-    ----------
-    centre
-        (n,) [rad or m].
-    amplitudes, phases
-        Of the path (h, n).
-    fundamental
-        f [Hz].
-    pace
-        How it is run through.
-    duration
-        [s].
-    """
-
-    centre: np.ndarray
+    centre: np.ndarray  # (n,) [rad or m]
+    #: Of the path (h, n).
     amplitudes: np.ndarray
     phases: np.ndarray
-    fundamental: float
-    pace: Pace
-    duration: float
+    fundamental: float  # f [Hz]
+    pace: Pace  # how it is run through
+    duration: float  # [s]
 
     @property
     def label(self) -> str:

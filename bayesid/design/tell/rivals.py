@@ -21,15 +21,9 @@ from bayesid.effects import Effect, Term
 
 @dataclass(frozen=True, eq=False)
 class PredictedSegment(Segment):
-    """A segment whose readings are given by their coefficients, without noise.
+    """A segment whose readings are given by their coefficients, without noise."""
 
-    Attributes
-    ----------
-    coefficients
-        Of the readings (K, c).
-    """
-
-    coefficients: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    coefficients: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))  # of the readings (K, c)
 
     @cached_property
     def measured_readings(self) -> np.ndarray:

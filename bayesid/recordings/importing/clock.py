@@ -32,34 +32,17 @@ Course = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class RowTimes:
-    """Times of a stream's rows.
+    """Times of a stream's rows."""
 
-    Attributes
-    ----------
-    kind
-        ``header``, ``log`` or ``column``.
-    text
-        In words.
-    times
-        (N,) [s] since `start`; NaN where a row has none.
-    start
-        [ns since 1970]; None for a clock that counts from somewhere else.
-    late
-        How much later than the header's stamps the log's times are, median and its spread (half of the middle 68 %) [s]; None
-        where there are not both.
-    column
-        The table's, where it is one.
-    notes
-        What was noticed, one line each.
-    """
-
-    kind: str
-    text: str
-    times: np.ndarray
-    start: int | None
+    kind: str  # ``header``, ``log`` or ``column``
+    text: str  # in words
+    times: np.ndarray  # (N,) [s] since `start`; NaN where a row has none
+    start: int | None  # [ns since 1970]; None for a clock that counts from somewhere else
+    #: How much later than the header's stamps the log's times are, median and its spread (half of the middle 68 %) [s]; None
+    #: where there are not both.
     late: tuple[float, float] | None = None
-    column: str = ""
-    notes: tuple[str, ...] = ()
+    column: str = ""  # the table's, where it is one
+    notes: tuple[str, ...] = ()  # what was noticed, one line each
 
     def since(self, start: int) -> RowTimes:
         """The same with times since another instant [ns since 1970]."""

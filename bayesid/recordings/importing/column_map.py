@@ -53,34 +53,21 @@ _KEYS: Keys = {(): ("columns", "units", "joints", "shift"), ("units",): ("scale"
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """Names and units of a log's columns.
+    """Names and units of a log's columns."""
 
-    Attributes
-    ----------
-    columns
-        The log's names by ours: of ``t`` (a list: one for each of several files), of one column (``q1``, ``tau3``, ``fx``), or
-        of a quantity (``q``, ``v``, ``qr``, ``tau``, ``wrench``, ``f``, ``m``): a list, an array (``"state[0:6]"``) or a
-        pattern with ``{joint}``, ``{1}`` or ``{0}``, which stand for the joint's name and for its number counted from one or
-        from zero.
-    units
-        By quantity (``t``, ``q``, ``v``, ``qr``, ``tau``, ``f``, ``m``) or column.
-    scale
-        Factors that columns are multiplied with after their unit, by quantity, column, or joint's name (of its torque).
-    joints
-        The log's names of joints by the URDF's, where they differ.
-    shift
-        What is added to the times of a quantity [s], by ``q``, ``v``, ``qr``, ``tau`` or ``wrench``: -0.03 where it is 30 ms
-        late.
-    file
-        Where they were stated, for messages.
-    """
-
+    #: The log's names by ours: of ``t`` (a list: one for each of several files), of one column (``q1``, ``tau3``, ``fx``), or
+    #: of a quantity (``q``, ``v``, ``qr``, ``tau``, ``wrench``, ``f``, ``m``): a list, an array (``"state[0:6]"``) or a pattern
+    #: with ``{joint}``, ``{1}`` or ``{0}``, which stand for the joint's name and for its number counted from one or from zero.
     columns: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
+    #: By quantity (``t``, ``q``, ``v``, ``qr``, ``tau``, ``f``, ``m``) or column.
     units: Mapping[str, str] = field(default_factory=dict)
+    #: Factors that columns are multiplied with after their unit, by quantity, column, or joint's name (of its torque).
     scale: Mapping[str, float] = field(default_factory=dict)
-    joints: Mapping[str, str] = field(default_factory=dict)
+    joints: Mapping[str, str] = field(default_factory=dict)  # the log's names of joints by the URDF's, where they differ
+    #: What is added to the times of a quantity [s], by ``q``, ``v``, ``qr``, ``tau`` or ``wrench``: -0.03 where it is 30 ms
+    #: late.
     shift: Mapping[str, float] = field(default_factory=dict)
-    file: str = ""
+    file: str = ""  # where they were stated, for messages
 
     def __post_init__(self) -> None:
         """Check the keys and units; names of joints and of columns are the robot's and the log's business."""

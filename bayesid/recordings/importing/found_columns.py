@@ -39,21 +39,13 @@ _SEPARATORS = " /._-:[]()"
 
 @dataclass(frozen=True)
 class FoundColumn:
-    """A column that holds one of ours.
+    """A column that holds one of ours."""
 
-    Attributes
-    ----------
-    ours
-        ``q1``, ``tau3``, ``fx``.
-    stream, column
-        Where it stands.
-    unit
-        As its name states, in the spelling of `bayesid.recordings.importing.units`; None where it states none.
-    """
-
-    ours: str
+    ours: str  # ``q1``, ``tau3``, ``fx``
+    #: Where it stands.
     stream: Stream
     column: str
+    #: As its name states, in the spelling of `bayesid.recordings.importing.units`; None where it states none.
     unit: str | None = None
 
 

@@ -28,27 +28,13 @@ _READINGS = ("tau", "wrench")
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """Everything of a recording at common times.
+    """Everything of a recording at common times."""
 
-    Attributes
-    ----------
-    times
-        (N,) [s].
-    values
-        (N, k) by quantity, in the order of the signals' columns.
-    ours
-        Names of the columns (k,) by quantity.
-    base
-        The signal whose times these are.
-    how
-        What was done to each other signal, one line each; empty where nothing was.
-    """
-
-    times: np.ndarray
-    values: dict[str, np.ndarray]
-    ours: dict[str, tuple[str, ...]]
-    base: Signal
-    how: tuple[str, ...]
+    times: np.ndarray  # (N,) [s]
+    values: dict[str, np.ndarray]  # (N, k) by quantity, in the order of the signals' columns
+    ours: dict[str, tuple[str, ...]]  # names of the columns (k,) by quantity
+    base: Signal  # the signal whose times these are
+    how: tuple[str, ...]  # what was done to each other signal, one line each; empty where nothing was
 
 
 def join(signals: Sequence[Signal], source: str) -> Joined:
@@ -137,33 +123,15 @@ def _integral(times: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording as it is used.
+    """A recording as it is used."""
 
-    Attributes
-    ----------
-    source
-        What was read.
-    layout
-        Which columns are used.
-    clocks
-        Of the streams that are used.
-    signals
-        Each quantity in SI units, at its own times.
-    joined
-        All of them at common times.
-    done
-        What was done and noticed, one line each.
-    resting
-        Of joints that are not used, where they stand and how far they move [rad or m].
-    """
-
-    source: Source
-    layout: Layout
-    clocks: tuple[tuple[Stream, RowTimes], ...]
-    signals: tuple[Signal, ...]
-    joined: Joined
-    done: tuple[str, ...]
-    resting: Mapping[str, tuple[float, float]]
+    source: Source  # what was read
+    layout: Layout  # which columns are used
+    clocks: tuple[tuple[Stream, RowTimes], ...]  # of the streams that are used
+    signals: tuple[Signal, ...]  # each quantity in SI units, at its own times
+    joined: Joined  # all of them at common times
+    done: tuple[str, ...]  # what was done and noticed, one line each
+    resting: Mapping[str, tuple[float, float]]  # of joints that are not used, where they stand and how far they move [rad or m]
 
     @property
     def start(self) -> int | None:

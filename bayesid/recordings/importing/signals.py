@@ -28,43 +28,20 @@ NAMES = {"q": "positions", "v": "velocities", "qr": "commands", "tau": "torques"
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """Columns of one quantity that were recorded together.
+    """Columns of one quantity that were recorded together."""
 
-    Attributes
-    ----------
-    quantity
-        A key of `NAMES`.
-    ours
-        ``q1``, ... or ``fx``, ... (k,).
-    times, values
-        (N,) [s] and (N, k) in SI units; NaN where a row of the log has no reading.
-    columns
-        The log's names (k,).
-    units
-        Those that it was written in (k,).
-    topic
-        The stream's name; empty for a table.
-    clock
-        Of its stream.
-    rows
-        Which rows of the stream these are (N,).
-    recorded
-        Rows of the stream that have a reading, repeated ones and those of a time that was there before included.
-    held
-        How many rows of the log hold each sample; 1 where every row is a sample.
-    """
-
-    quantity: str
-    ours: tuple[str, ...]
+    quantity: str  # a key of `NAMES`
+    ours: tuple[str, ...]  # ``q1``, ... or ``fx``, ... (k,)
+    #: (N,) [s] and (N, k) in SI units; NaN where a row of the log has no reading.
     times: np.ndarray
     values: np.ndarray
-    columns: tuple[str, ...]
-    units: tuple[str, ...]
-    topic: str
-    clock: RowTimes
-    rows: np.ndarray
-    recorded: int
-    held: float = 1.0
+    columns: tuple[str, ...]  # the log's names (k,)
+    units: tuple[str, ...]  # those that it was written in (k,)
+    topic: str  # the stream's name; empty for a table
+    clock: RowTimes  # of its stream
+    rows: np.ndarray  # which rows of the stream these are (N,)
+    recorded: int  # rows of the stream that have a reading, repeated ones and those of a time that was there before included
+    held: float = 1.0  # how many rows of the log hold each sample; 1 where every row is a sample
 
     @property
     def name(self) -> str:

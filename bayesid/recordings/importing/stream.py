@@ -37,28 +37,16 @@ def kind_of(path: Path) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """Columns that share their rows: a topic of a bag, or a table.
+    """Columns that share their rows: a topic of a bag, or a table."""
 
-    Attributes
-    ----------
-    name
-        The topic; empty for a table, or its file's name where several are one recording.
-    columns
-        (N,) by name, numbers or texts as they were recorded; entries of an array are columns ``name[0]``, ``name[1]``, ...
-    clocks
-        Times of the rows (N,) [ns since 1970], by ``header`` (when the sender took the sample) and ``log`` (when the recorder
-        got it); empty for a table, whose times are a column.
-    frame
-        The frame that its messages name; empty where there is none.
-    notes
-        What was noticed on reading, one line each.
-    """
-
-    name: str
+    name: str  # the topic; empty for a table, or its file's name where several are one recording
+    #: (N,) by name, numbers or texts as they were recorded; entries of an array are columns ``name[0]``, ``name[1]``, ...
     columns: Mapping[str, np.ndarray]
+    #: Times of the rows (N,) [ns since 1970], by ``header`` (when the sender took the sample) and ``log`` (when the recorder
+    #: got it); empty for a table, whose times are a column.
     clocks: Mapping[str, np.ndarray] = field(default_factory=dict)
-    frame: str = ""
-    notes: tuple[str, ...] = ()
+    frame: str = ""  # the frame that its messages name; empty where there is none
+    notes: tuple[str, ...] = ()  # what was noticed on reading, one line each
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -71,21 +59,11 @@ class Stream:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """One recording as another tool wrote it.
+    """One recording as another tool wrote it."""
 
-    Attributes
-    ----------
-    name
-        What it is called in messages and in experiment.toml.
-    streams
-        What was read of it.
-    unread
-        Topics that were not read, with their types, one ``/topic (type)`` each.
-    """
-
-    name: str
-    streams: tuple[Stream, ...]
-    unread: tuple[str, ...] = ()
+    name: str  # what it is called in messages and in experiment.toml
+    streams: tuple[Stream, ...]  # what was read of it
+    unread: tuple[str, ...] = ()  # topics that were not read, with their types, one ``/topic (type)`` each
 
 
 def array_columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:

@@ -16,18 +16,12 @@ from bayesid.robot.urdf import JointDynamics
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """An effect of the model with the values that were found.
+    """An effect of the model with the values that were found."""
 
-    Attributes
-    ----------
-    name, where
-        As in ``estimate.json``.
-    values, units
-        By parameter.
-    """
-
+    #: As in ``estimate.json``.
     name: str
     where: str
+    #: By parameter.
     values: dict[str, float]
     units: dict[str, str]
 
@@ -45,44 +39,26 @@ class FoundEffect:
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedRobot:
-    """What is handed on.
+    """What is handed on."""
 
-    Attributes
-    ----------
-    name, method, channel
-        Of the experiment; how it was estimated, and from which readings.
-    robot
-        Kinematics.
-    locked
-        Position of joints that do not move, by name [rad or m].
-    base
-        What the estimated base parameters are combinations of.
-    effects
-        Of the model.
-    effect_names
-        Of those parameters of the effects that were estimated (e,).
-    solution, covariance, undetermined
-        Base parameters, then these (p,); theirs (p, p), None where there is none; which the data say nothing of (p,).
-    links, dynamics
-        Of ``identified.urdf``: ten parameters a body (10 b,), which can exist, and friction. Links are None where none are
-        known, dynamics where they are those of ``solution``.
-    link_draws, effect_draws
-        Of a posterior: links that can exist (d, 10 b) and the effects' parameters (d, e); None where links were not drawn.
-    """
-
+    #: Of the experiment; how it was estimated, and from which readings.
     name: str
     method: str
     channel: str
-    robot: Robot
-    locked: dict[str, float]
-    base: BaseParameters
-    effects: tuple[FoundEffect, ...]
-    effect_names: tuple[str, ...]
+    robot: Robot  # kinematics
+    locked: dict[str, float]  # position of joints that do not move, by name [rad or m]
+    base: BaseParameters  # what the estimated base parameters are combinations of
+    effects: tuple[FoundEffect, ...]  # of the model
+    effect_names: tuple[str, ...]  # of those parameters of the effects that were estimated (e,)
+    #: Base parameters, then these (p,); theirs (p, p), None where there is none; which the data say nothing of (p,).
     solution: np.ndarray
     covariance: np.ndarray | None
     undetermined: np.ndarray
+    #: Of ``identified.urdf``: ten parameters a body (10 b,), which can exist, and friction. Links are None where none are
+    #: known, dynamics where they are those of ``solution``.
     links: np.ndarray | None
     dynamics: JointDynamics | None
+    #: Of a posterior: links that can exist (d, 10 b) and the effects' parameters (d, e); None where links were not drawn.
     link_draws: np.ndarray | None = None
     effect_draws: np.ndarray | None = None
 

@@ -60,27 +60,13 @@ _SLOWEST = 1e-9
 
 @dataclass(frozen=True)
 class JointLaw:
-    """An effect inside a joint with its values.
+    """An effect inside a joint with its values."""
 
-    Attributes
-    ----------
-    spec
-        ``name@where``.
-    name
-        A key of `LAWS`.
-    joint
-        Index of the joint.
-    values
-        Of the effect's parameters (k,).
-    columns
-        Where each of them stands among the estimated parameters; None: it is fixed (k,).
-    """
-
-    spec: str
-    name: str
-    joint: int
-    values: tuple[float, ...]
-    columns: tuple[int | None, ...]
+    spec: str  # ``name@where``
+    name: str  # a key of `LAWS`
+    joint: int  # index of the joint
+    values: tuple[float, ...]  # of the effect's parameters (k,)
+    columns: tuple[int | None, ...]  # where each of them stands among the estimated parameters; None: it is fixed (k,)
 
     @property
     def torque(self) -> str:
@@ -114,37 +100,19 @@ _NOTHING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class InverseDynamics:
-    """Torques of all joints, linear in parameters.
+    """Torques of all joints, linear in parameters."""
 
-    Attributes
-    ----------
-    robot
-        Kinematics.
-    bodies
-        The joint whose link each of the first r columns belongs to (r,), and its ten parameters in that joint's frame (r, 10).
-    laws
-        What acts inside the joints, whose estimated parameters have the other columns.
-    names
-        Of the parameters (k,).
-    values, covariance
-        Of the parameters (k,), (k, k); None where there is none.
-    hidden
-        Changes of the parameters, of unit length, that the data do not show (k, m).
-    left_out
-        Effects of the model that are not in it, ``name@where``.
-    foreign
-        How many of the r are no combination of what was identified.
-    """
-
-    robot: Robot
+    robot: Robot  # kinematics
+    #: The joint whose link each of the first r columns belongs to (r,), and its ten parameters in that joint's frame (r, 10).
     bodies: tuple[np.ndarray, np.ndarray]
-    laws: tuple[JointLaw, ...]
-    names: tuple[str, ...]
+    laws: tuple[JointLaw, ...]  # what acts inside the joints, whose estimated parameters have the other columns
+    names: tuple[str, ...]  # of the parameters (k,)
+    #: Of the parameters (k,), (k, k); None where there is none.
     values: np.ndarray
     covariance: np.ndarray | None
-    hidden: np.ndarray
-    left_out: tuple[str, ...]
-    foreign: int = 0
+    hidden: np.ndarray  # changes of the parameters, of unit length, that the data do not show (k, m)
+    left_out: tuple[str, ...]  # effects of the model that are not in it, ``name@where``
+    foreign: int = 0  # how many of the r are no combination of what was identified
 
 
 def inverse_dynamics(found: IdentifiedRobot) -> InverseDynamics:

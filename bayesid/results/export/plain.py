@@ -18,28 +18,18 @@ ARMATURE = "rotor_inertia"
 
 @dataclass(frozen=True)
 class JointConstants:
-    """What simulators have inside a joint, by joint name, and what they have no place for.
+    """What simulators have inside a joint, by joint name, and what they have no place for."""
 
-    Attributes
-    ----------
-    damping, frictionloss, armature
-        Of joints that any was identified of [N m s/rad, N m, kg m^2, or those of a slide].
-    springs
-        Stiffness and rest position [N m/rad, rad, or those of a slide].
-    delays
-        By how much torques are read later than positions [s]; negative where they are read before they act.
-    left_out
-        Negative ones, ``joint1 armature``: simulators take none.
-    beside
-        Value and unit of everything else that was identified, by name.
-    """
-
+    #: Of joints that any was identified of [N m s/rad, N m, kg m^2, or those of a slide].
     damping: dict[str, float]
     frictionloss: dict[str, float]
     armature: dict[str, float] = field(default_factory=dict)
+    #: Stiffness and rest position [N m/rad, rad, or those of a slide].
     springs: dict[str, tuple[float, float]] = field(default_factory=dict)
+    #: By how much torques are read later than positions [s]; negative where they are read before they act.
     delays: dict[str, float] = field(default_factory=dict)
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # negative ones, ``joint1 armature``: simulators take none
+    #: Value and unit of everything else that was identified, by name.
     beside: dict[str, tuple[float, str]] = field(default_factory=dict)
 
 

@@ -26,24 +26,12 @@ _EXPLAINED = 0.005  # share of its variation to which a channel is explained at 
 
 @dataclass(frozen=True)
 class Profile:
-    """What the motion leaves of readings that are taken so much later.
+    """What the motion leaves of readings that are taken so much later."""
 
-    Attributes
-    ----------
-    delays
-        (k,) [s].
-    left
-        Rms of each channel (c, k) [unit of the channel].
-    gained
-        Log likelihood of a sample over that without a delay (k,) [nats].
-    worth
-        How many independent samples there are.
-    """
-
-    delays: np.ndarray
-    left: np.ndarray
-    gained: np.ndarray
-    worth: float
+    delays: np.ndarray  # (k,) [s]
+    left: np.ndarray  # rms of each channel (c, k) [unit of the channel]
+    gained: np.ndarray  # log likelihood of a sample over that without a delay (k,) [nats]
+    worth: float  # how many independent samples there are
 
     def best(self) -> tuple[float, float] | None:
         """The delay that explains most, and its standard deviation [s]; None where it is the first or last that was tried.

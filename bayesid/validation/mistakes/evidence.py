@@ -68,27 +68,13 @@ AS_RECORDED = Change()
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The best robot that could exist.
+    """The best robot that could exist."""
 
-    Attributes
-    ----------
-    parameters
-        Those of all bodies, ten each, then friction and offsets (p,).
-    residual
-        What is left of the readings as recorded (N, c) [unit of the column].
-    left
-        Its rms (c,).
-    log_likelihood
-        Of one sample, with the noise of every column profiled out.
-    count
-        How many numbers the data as they are needed for the same bodies, and those of the change.
-    """
-
-    parameters: np.ndarray
-    residual: np.ndarray
-    left: np.ndarray
-    log_likelihood: float
-    count: int
+    parameters: np.ndarray  # those of all bodies, ten each, then friction and offsets (p,)
+    residual: np.ndarray  # what is left of the readings as recorded (N, c) [unit of the column]
+    left: np.ndarray  # its rms (c,)
+    log_likelihood: float  # of one sample, with the noise of every column profiled out
+    count: int  # how many numbers the data as they are needed for the same bodies, and those of the change
 
     def score(self, worth: float) -> float:
         """Log evidence by the Bayesian information criterion, of so many independent samples [nats]."""

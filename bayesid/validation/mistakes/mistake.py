@@ -9,32 +9,18 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Mistake:
-    """What seems to be wrong with the data, and what undoing it would bring.
+    """What seems to be wrong with the data, and what undoing it would bring."""
 
-    Attributes
-    ----------
-    name, where
-        Which mistake, as `bayesid.validation.mistakes.candidates.Candidate` names it.
-    text
-        One line: what seems wrong, by how much the fit improves, what to do.
-    channel
-        ``wrench`` or ``torque``: in which readings it shows.
-    evidence
-        Log odds against the data as they are [nats]; infinite for readings of an impossible size.
-    before, after
-        Residual in each column, rms, as the data are and with the mistake undone (c,) [unit of the column].
-    alternatives
-        Name and place of other mistakes that would repair the fit as well.
-    """
-
+    #: Which mistake, as `bayesid.validation.mistakes.candidates.Candidate` names it.
     name: str
     where: str
-    text: str
-    channel: str
-    evidence: float
+    text: str  # one line: what seems wrong, by how much the fit improves, what to do
+    channel: str  # ``wrench`` or ``torque``: in which readings it shows
+    evidence: float  # log odds against the data as they are [nats]; infinite for readings of an impossible size
+    #: Residual in each column, rms, as the data are and with the mistake undone (c,) [unit of the column].
     before: tuple[float, ...] = ()
     after: tuple[float, ...] = ()
-    alternatives: tuple[tuple[str, str], ...] = ()
+    alternatives: tuple[tuple[str, str], ...] = ()  # name and place of other mistakes that would repair the fit as well
 
     def to_dict(self) -> dict[str, Any]:
         """An entry of ``mistakes`` in ``check.json``."""
