@@ -1,7 +1,9 @@
 """Exact fits of the links and any effects, and how much the data prefer one set of effects to another.
 
 Links and offset are projected out (`bayesid.diagnosis.projector`). What is left are a handful of parameters, found by
-Gauss-Newton steps on the exact readings. Fits can be taken a few steps at a time, so that hopeless ones are given up early.
+Gauss-Newton steps on the exact readings. An effect that has hardly moved keeps its derivatives from step to step and from one
+fit to the next; a fit ends only where derivatives of all effects, made anew, find nothing to gain. Fits can be taken a few steps
+at a time, so that hopeless ones are given up early.
 
 Models are compared by ``score = -chi2 / 2 - log det S / 2 - k / 2 log n`` over n rows: the evidence under a prior with the
 information of one row for each of the k parameters [Schwarz1978]_. The noise S matters where a model makes more of it than
@@ -10,15 +12,15 @@ another does: a flexible joint differentiates the encoders' errors twice more.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.projector import NuisanceProjector
-from bayesid.diagnosis.rows import model_rows
-from bayesid.effects import Term
+from bayesid.diagnosis.rows import term_rows
+from bayesid.effects import Effect, Term
 from bayesid.robot.prior import Prior
 
 #: Gauss-Newton steps at most; and of a start that is to be compared with others first. Few fits need half of them.
@@ -37,6 +39,26 @@ ALIVE = 1e-5
 _ROUNDING = 1e-6
 #: A parameter with this share in a direction that the data do not show is not determined; less is rounding of that direction.
 _HIDDEN = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """Whitened derivatives of the readings with respect to a term's parameters.
+
+    Attributes
+    ----------
+    values
+        Of the parameters (k,), where they were taken.
+    rows
+        (rows, k).
+    """
+
+    values: np.ndarray
+    rows: np.ndarray
+
+    def changed_by(self, term: Term) -> float:
+        """Sum of squares of the change of whitened readings from those values to a term's."""
+        return float(np.sum((self.rows @ (np.array(term.values) - self.values)) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +91,8 @@ class Fit:
         The links and the offset in the coordinates of `NuisanceProjector` (size,).
     residual
         Whitened rows (rows,).
+    derivatives
+        Of the readings, by effect that is fitted.
     """
 
     projector: NuisanceProjector
@@ -83,6 +107,7 @@ class Fit:
     free: tuple[tuple[int, int], ...]
     coordinates: np.ndarray
     residual: np.ndarray
+    derivatives: Mapping[Effect, Derivatives]
 
     def std(self, index: int, dispersion: float) -> np.ndarray:
         """Standard deviations of one term's free parameters; infinite where the data do not determine them.
@@ -123,6 +148,10 @@ class Iterate:
         Taken so far.
     settled
         Whether no step is left to take.
+    derivatives
+        Of the readings, by effect that is fitted; some may be those of values close by.
+    exact
+        Whether all of them are those of the values and links as they are.
     """
 
     projector: NuisanceProjector
@@ -135,6 +164,8 @@ class Iterate:
     damping: float = _DAMPING
     steps: int = 0
     settled: bool = False
+    derivatives: Mapping[Effect, Derivatives] = field(default_factory=dict)
+    exact: bool = False
 
 
 def begin(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None) -> Iterate:
@@ -143,7 +174,8 @@ def begin(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None
     u = np.zeros(projector.size) if start is None else start.coordinates.copy()
     free = tuple((i, k) for i, t in enumerate(terms) if not data.fixed(t) for k in range(len(t.values)))
     rows, prior = projector.residual(u, terms), projector.prior_residual(u)
-    return Iterate(projector, terms, free, u, rows, prior, float(rows @ rows + prior @ prior))
+    known = start.derivatives if start is not None and start.projector is projector else {}
+    return Iterate(projector, terms, free, u, rows, prior, float(rows @ rows + prior @ prior), derivatives=known)
 
 
 def advance(now: Iterate, steps: int) -> Iterate:
@@ -156,11 +188,15 @@ def advance(now: Iterate, steps: int) -> Iterate:
 
 
 def _stepped(now: Iterate) -> Iterate:
-    """One damped Gauss-Newton step."""
+    """One damped Gauss-Newton step; or none, where derivatives from close by find none and all are to be made anew."""
     projector, free, terms, u = now.projector, now.free, now.terms, now.coordinates
-    data, damping = projector.data, now.damping
+    damping = now.damping
+    # What matters is a change beside all that no model explains, as evidence is judged.
+    left_over = max(now.chi2 / max(projector.rows, 1), 1.0)
     links, _ = projector.split(u)
-    jacobian = model_rows(data, data.segments, links, terms)
+    derivatives, exact = _derivatives(projector, links, terms, now.derivatives, left_over)
+    anew = replace(now, derivatives={})
+    jacobian = _side_by_side(projector, terms, derivatives)
     if not np.isfinite(jacobian).all():
         return replace(now, settled=True)
     stacked = np.concatenate([now.rows, -now.prior])
@@ -168,8 +204,7 @@ def _stepped(now: Iterate) -> Iterate:
     length = np.linalg.norm(kept, axis=0)
     alive = _alive(length, jacobian)
     scale = np.where(alive, length, np.inf)
-    # What matters is a change beside all that no model explains, as evidence is judged.
-    settled = _SETTLED * max(now.chi2 / max(projector.rows, 1), 1.0)
+    settled = _SETTLED * left_over
     scaled, left = kept / scale, projector.project_out(stacked)
     gram, pull = scaled.T @ scaled, scaled.T @ left
     limits = _at_limits(terms, free)
@@ -178,8 +213,8 @@ def _stepped(now: Iterate) -> Iterate:
     best = _change(gram, pull, 0.0, alive, limits)
     least, close = float(left @ left - best @ (2.0 * pull - gram @ best)), 0.01 * settled
     if now.chi2 - least < close:
-        return replace(now, settled=True)
-    for _ in range(_TRIALS):
+        return replace(now, settled=True, derivatives=derivatives, exact=True) if exact else anew
+    for _ in range(_TRIALS if exact else 1):
         # Levenberg and Marquardt: where a direction says nothing yet (a point without a force), hold it back.
         trial = _moved(terms, free, _change(gram, pull, damping, alive, limits) / scale)
         taken = np.array([trial[i].values[k] - terms[i].values[k] for i, k in free])
@@ -191,13 +226,40 @@ def _stepped(now: Iterate) -> Iterate:
         rows, prior = projector.residual(moved, trial), projector.prior_residual(moved)
         chi2 = float(rows @ rows + prior @ prior)
         if now.chi2 - chi2 > -settled:
+            done = now.chi2 - chi2 < settled or abs(chi2 - least) < close
             return replace(
                 now, terms=trial, coordinates=moved, rows=rows, prior=prior, chi2=chi2, steps=now.steps + 1,
-                damping=0.1 * damping if damping > 1e-7 else 0.0,
-                settled=now.chi2 - chi2 < settled or abs(chi2 - least) < close,
+                damping=0.1 * damping if damping > 1e-7 else 0.0, settled=done and exact,
+                derivatives={} if done else derivatives, exact=False,
             )  # fmt: skip
         damping = max(10.0 * damping, 1e-4)
-    return replace(now, settled=True)
+    return replace(now, settled=True) if exact else anew
+
+
+def _derivatives(
+    projector: NuisanceProjector, links: np.ndarray, terms: tuple[Term, ...], known: Mapping[Effect, Derivatives], change: float
+) -> tuple[dict[Effect, Derivatives], bool]:
+    """Derivatives by effect that is fitted, and whether all are made anew.
+
+    Those that are known stay where the effect's values have changed the whitened readings by less since.
+    """
+    data, out, exact = projector.data, {}, True
+    for t in terms:
+        if data.fixed(t):
+            continue
+        own = known.get(t.effect)
+        if own is not None and own.changed_by(t) < change:
+            out[t.effect], exact = own, False
+        else:
+            beside = tuple(x for x in terms if x is not t)
+            out[t.effect] = Derivatives(np.array(t.values), term_rows(data, data.segments, links, beside, t))
+    return out, exact
+
+
+def _side_by_side(projector: NuisanceProjector, terms: tuple[Term, ...], derivatives: Mapping[Effect, Derivatives]) -> np.ndarray:
+    """Derivatives with respect to all free parameters (rows, k)."""
+    none = np.zeros((projector.length, 0))
+    return np.hstack([none, *(derivatives[t.effect].rows for t in terms if t.effect in derivatives)])
 
 
 def _at_limits(terms: tuple[Term, ...], free: Sequence[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray]:
@@ -233,10 +295,11 @@ def finish(now: Iterate) -> Fit:
     projector, free, terms = now.projector, now.free, now.terms
     data, rows, chi2 = projector.data, now.rows, now.chi2
     links, offset = projector.split(now.coordinates)
-    jacobian = model_rows(data, data.segments, links, terms)
+    derivatives = now.derivatives if now.exact else _derivatives(projector, links, terms, {}, 0.0)[0]
+    jacobian = _side_by_side(projector, terms, derivatives)
     possible = bool(np.isfinite(chi2) and np.isfinite(jacobian).all())
     if not possible:  # diverged: refused
-        jacobian, rows, chi2 = np.zeros(jacobian.shape), np.zeros(len(rows)), np.inf
+        jacobian, rows, chi2, derivatives = np.zeros(jacobian.shape), np.zeros(len(rows)), np.inf, {}
     kept = projector.columns(jacobian)
     length = np.linalg.norm(kept, axis=0)
     safe = np.where(_alive(length, jacobian), length, np.inf)
@@ -246,7 +309,10 @@ def finish(now: Iterate) -> Fit:
     covariance = _widened(projector, covariance, kept, rows)
     cost = price(data, projector.rows, terms, free, kept)
     score = -0.5 * chi2 - 0.5 * projector.volume - cost if possible and not is_another(data, terms) else -np.inf
-    return Fit(projector, terms, links, offset, chi2, len(values), score, covariance, determined, free, now.coordinates, rows)
+    return Fit(
+        projector, terms, links, offset, chi2, len(values), score, covariance, determined, free, now.coordinates, rows,
+        derivatives,
+    )  # fmt: skip
 
 
 def is_another(data: DiagnosisData, terms: Sequence[Term]) -> bool:

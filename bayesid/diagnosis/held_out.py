@@ -94,11 +94,12 @@ class HeldOutSums:
         """
         own = np.flatnonzero(np.isin(self.owners, list(effects)))
         active = np.concatenate([np.arange(self.links), self.links + own])
+        traces = [k for k in range(self.traces) if k not in effects]
+        wanted = np.array([*(self.links + len(self.owners) + k for k in traces), gram.shape[-1] - 1])
         left = np.zeros(gram.shape[:-1])
-        left[..., -1] = 1.0
-        left[..., self.links + len(self.owners) + np.array([k for k in range(self.traces) if k not in effects], int)] = 1.0
-        rows = gram[..., active, :] / self.correlation
-        square, right = rows[..., active], np.einsum("...ij,...j->...i", rows, left)
+        left[..., wanted] = 1.0
+        square, right = (gram[..., active[:, None], at] / self.correlation for at in (active, wanted))
+        right = right.sum(axis=-1)
         square[..., : self.links, : self.links] += np.eye(self.links)
         right[..., : self.links] -= self.start
         scale = np.sqrt(np.maximum(np.diagonal(square, axis1=-2, axis2=-1), np.diag(self.whole)[active] / self.correlation))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesid.dynamics.channels import Channels
-from bayesid.dynamics.kinematics import P, R, link_columns, project
+from bayesid.dynamics.kinematics import P, R, link_columns
 from bayesid.effects.bodies import body_of, split_matrix
 from bayesid.effects.effect import Effect, Term
 from bayesid.effects.families import (
@@ -103,7 +103,7 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
         case LoadEffect():
             out = tangent(model, _load_columns(model, effect, values))
         case GravityEffect() if not any(model.of_family(f) for f in (PlayEffect, FlexibleJointEffect, MountEffect)):
-            out = tangent(model, differences(effect, values, lambda v: _weight(model, model.changed(Term(effect, v)).gravity)))
+            out = tangent(model, _weight(model) @ differences(effect, values, lambda v: model.changed(Term(effect, v)).gravity))
         case PlayEffect() if _without_play(model, effect):
             out = tangent(model, _play_columns(model, effect, values))
         case _:
@@ -153,14 +153,16 @@ def _moved(motion: Motion, joint: int, change: Motion, by: float) -> Motion:
     return parts[0], parts[1], parts[2]
 
 
-def _weight(model: Model, gravity: np.ndarray) -> np.ndarray:
-    """What the channels read of the weight of all bodies (N, c) under a gravity (3,)."""
+def _weight(model: Model) -> np.ndarray:
+    """Derivative of what the channels read of the weight of all bodies with respect to gravity (N, c, 3).
+
+    A body with mass m and first moment h about the base origin pulls with the wrench ``-(m g, h x g)``.
+    """
     x = model.states[:, model.row_of]
     rotation = x[:, :, R : R + 9].reshape(*x.shape[:2], 3, 3)
-    mass = model.bodies[:, 0]
-    first = mass[:, None] * x[:, :, P : P + 3] + np.einsum("nbij,bj->nbi", rotation, model.bodies[:, 1:4])
-    force = np.broadcast_to(-mass[:, None] * gravity, first.shape)
-    return project(model.twists, np.concatenate([force, -np.cross(first, gravity)], axis=2), model.carries)
+    mass, carried = model.bodies[:, 0], model.carries.astype(float)
+    first = mass[:, None] * x[:, :, P : P + 3] + np.matmul(rotation, model.bodies[:, 1:4, None])[..., 0]
+    return -(carried @ mass)[:, None] * model.twists[..., :3] - np.cross(model.twists[..., 3:], carried @ first)
 
 
 def readings(
