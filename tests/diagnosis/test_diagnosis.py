@@ -380,3 +380,38 @@ def test_readings_that_are_linear_in_the_links_are_not_predicted_anew(record, ot
             s.white(columns(data.robot, data.channels, s.scene, links, terms, t.effect, t.values)) for s in data.segments
         ])  # fmt: skip
         np.testing.assert_allclose(own, full, rtol=0.0, atol=1e-9 * np.abs(full).max())
+
+
+def test_derivatives_from_close_by_end_where_those_made_anew_do(record, monkeypatch):
+    """The same values, score and covariance as with all derivatives made anew at every step, which takes more of them."""
+    folder, _ = record("kept", "pair", ["dahl_friction", "torque_delay"], "torque", seed=12)
+    _, nuisance = made(folder, "torque")
+    data, count = nuisance.data, []
+    names = ("dahl_friction", "torque_ripple", "spring", "viscous_friction")
+    effects = [*(e for name in names for e in data.places(name)), data.places("torque_delay")[0]]
+    terms = tuple(Term(e, tuple(np.clip(e.typical(data.robot), e.lower, e.upper))) for e in effects)
+
+    def counted(*given):
+        count.append(1)
+        return rows.term_rows(*given)
+
+    monkeypatch.setattr(fit, "term_rows", counted)
+
+    def found():
+        """Fitted without the last effect, then with it from there; and how many derivatives that took."""
+        count.clear()
+        start = fit.fit(nuisance, terms[:-1], steps=100)
+        return fit.fit(nuisance, terms, start, steps=100), len(count)
+
+    few, made_few = found()
+    monkeypatch.setattr(fit.Derivatives, "changed_by", lambda self, term: np.inf)
+    anew, made_anew = found()
+    assert made_few < 0.9 * made_anew
+    assert few.score == pytest.approx(anew.score, abs=0.05)
+    one, other = (np.concatenate([t.values for t in f.terms]) for f in (few, anew))
+    std, other_std = (np.sqrt(np.diag(f.covariance)) for f in (few, anew))
+    shown = anew.determined & (np.abs(other) > 5.0 * other_std)  # where a stiffness is none, its rest may be anything
+    assert np.count_nonzero(shown) >= 5
+    # A fit has settled where chi2 changes by less than 0.02: a seventh of a standard deviation.
+    assert np.all(np.abs(one - other)[shown] < np.sqrt(fit._SETTLED) * other_std[shown])
+    np.testing.assert_allclose(std[shown], other_std[shown], rtol=0.02)

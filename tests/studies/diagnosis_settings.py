@@ -5,8 +5,9 @@
 
 Recordings come from the independent plant of case_studies/blind_naming. Every diagnosis is kept in DIR/diagnoses.json as soon as
 it is made, and none is made twice: the run can be interrupted and taken up again. Recording after recording is finished, and the
-page tells of those that are. A threshold that the diagnosis of a recording never reads cannot change it; that one is not made
-again. What limits computing and is no threshold (`LIMITS`) is moved likewise once the thresholds are done.
+page tells of those that are. A threshold changes a diagnosis only where a comparison comes out differently; where none does, that
+one is not made again (`Compared`). What limits computing and is no threshold (`LIMITS`) is moved likewise once the thresholds are
+done.
 ``--quick`` takes two recordings and four thresholds, to see that the script works. Writes docs/studies/diagnosis-settings from
 what there is.
 """
@@ -20,14 +21,15 @@ import json
 import multiprocessing
 import sys
 import warnings
-from collections.abc import Iterator
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "case_studies" / "blind_naming"))
 
+import numpy as np
 from judge import CLAIMS, within
 
 import bayesid
@@ -36,6 +38,11 @@ from tests.studies.page import STUDIES, write_page
 
 MOVED = 0.3
 QUICK = ("accept", "unexplained", "nearly_all", "most")
+#: Thresholds that are used in sums, products and comparisons; others, such as a time or a band, change what is computed.
+COMPARED = (
+    "accept", "rival", "likely_effects", "nearly_all", "unexplained", "hopeless", "coloured_ratio", "enough", "short_step",
+    "level", "detected", "outside_library",
+)  # fmt: skip
 #: What limits computing, ``module.NAME`` of bayesid.diagnosis: steps, rounds, draws, rows listed, and how exact a number is made.
 LIMITS = (
     "fit.STEPS", "fit.FEW_STEPS", "fit.SWEEPS", "fit._SETTLED", "forward._FITTED", "forward._ALIKE", "forward._FAMILIES",
@@ -119,20 +126,116 @@ def is_right(answer: dict[str, Any], said: dict[str, Any]) -> bool:
     return not left
 
 
-class Watched(Settings):
-    """Thresholds that note which of them are read."""
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """A threshold, or what follows from it, with what it would be if the threshold were moved; notes where that matters.
 
-    read: ClassVar[set[str]] = set()
+    Comparisons that come out alike change nothing. Where one does not, or where the number is used in any other way than in sums,
+    products and comparisons, the threshold moved that way has to be tried.
+
+    Attributes
+    ----------
+    name
+        Of the threshold.
+    value
+        As it stands.
+    moved
+        By way.
+    """
+
+    name: str
+    value: Any
+    moved: dict[int, Any]
+    #: Thresholds and ways that have to be tried.
+    open: ClassVar[set[tuple[str, int]]] = set()
+    __array_ufunc__ = None  # arrays leave operators to this class
+
+    def _with(self, operation: Callable[[Any], Any]) -> Compared:
+        return Compared(self.name, operation(self.value), {way: operation(x) for way, x in self.moved.items()})
+
+    def _asked(self, comparison: Callable[[Any], Any]) -> Any:
+        said = comparison(self.value)
+        self._note(way for way, x in self.moved.items() if np.any(comparison(x) != said))
+        return said
+
+    def _note(self, ways: Iterable[int]) -> None:
+        Compared.open.update((self.name, way) for way in ways)
+
+    def _left(self) -> Any:
+        self._note(self.moved)
+        return self.value
+
+    def __add__(self, other: Any) -> Compared:
+        return self._with(lambda x: x + other)
+
+    def __mul__(self, other: Any) -> Compared:
+        return self._with(lambda x: x * other)
+
+    def __sub__(self, other: Any) -> Compared:
+        return self._with(lambda x: x - other)
+
+    def __rsub__(self, other: Any) -> Compared:
+        return self._with(lambda x: other - x)
+
+    def __truediv__(self, other: Any) -> Compared:
+        return self._with(lambda x: x / other)
+
+    def __rtruediv__(self, other: Any) -> Compared:
+        return self._with(lambda x: other / x)
+
+    def __pow__(self, other: Any) -> Compared:
+        return self._with(lambda x: x**other)
+
+    def __neg__(self) -> Compared:
+        return self._with(lambda x: -x)
+
+    def __lt__(self, other: Any) -> Any:
+        return self._asked(lambda x: x < other)
+
+    def __le__(self, other: Any) -> Any:
+        return self._asked(lambda x: x <= other)
+
+    def __gt__(self, other: Any) -> Any:
+        return self._asked(lambda x: x > other)
+
+    def __ge__(self, other: Any) -> Any:
+        return self._asked(lambda x: x >= other)
+
+    def __float__(self) -> float:
+        return float(self._left())
+
+    def __index__(self) -> int:
+        return self._left()
+
+    def __round__(self) -> int:
+        return self._asked(round)
+
+    def __format__(self, form: str) -> str:
+        return format(self.value, form)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+class Watched(Settings):
+    """Thresholds that note where moving them would matter."""
 
     def __getattribute__(self, name: str) -> Any:
-        """Any attribute, noted."""
-        Watched.read.add(name)
-        return super().__getattribute__(name)
+        """Any threshold, compared."""
+        value = super().__getattribute__(name)
+        if name not in Settings.__dataclass_fields__ or isinstance(value, Compared):
+            return value
+        own = Compared(name, value, {way: moved(value, way) for way in (-1, 1)})
+        return own if name in COMPARED else own._left()
 
 
 def diagnosed(folder: Path, channel: str, name: str | None, way: int) -> dict[str, Any]:
-    """Verdict and effects with their rivals; a refusal as verdict ``refused``. With no threshold moved: those read, too."""
+    """Verdict and effects with their rivals; a refusal as verdict ``refused``. With no threshold moved: which are to be tried."""
     warnings.simplefilter("ignore")
+    verb = import_module("bayesid.workflows.diagnose")
+    # What comes after the verdict changes no name.
+    quick = {n: lambda result, *_: result for n in ("_with_errors", "_with_next_motion", "_with_description")}
+    for later, instead in (quick | {"_places": lambda *_: ()}).items():
+        setattr(verb, later, instead)
     settings, held = DEFAULT, contextlib.nullcontext()
     if name is None:
         settings = Watched()
@@ -140,15 +243,18 @@ def diagnosed(folder: Path, channel: str, name: str | None, way: int) -> dict[st
         held = limited(name, way)
     else:
         settings = replace(DEFAULT, **{name: moved(getattr(DEFAULT, name), way)})
-    Watched.read.clear()
+    Compared.open.clear()
     try:
         with held:
-            said = bayesid.diagnose(folder, channel, settings=settings).to_dict()
+            result = bayesid.diagnose(folder, channel, settings=settings)
+        open_ = sorted(f"{own} {side:+d}" for own, side in Compared.open)  # what is written beside names is none of it
+        said = result.to_dict()
         effects = [{key: e[key] for key in ("name", "where", "ambiguous_with")} for e in said["effects"]]
         out: dict[str, Any] = {"verdict": said["verdict"], "effects": effects}
     except bayesid.BayesidError as error:
+        open_ = sorted(f"{own} {side:+d}" for own, side in Compared.open)
         out = {"verdict": "refused", "effects": [], "error": str(error)}
-    return out if name else out | {"read": sorted(Watched.read & {f.name for f in fields(Settings)})}
+    return out if name else out | {"open": open_}
 
 
 def answers(work: Path, count: int, seed: int, quick: bool) -> list[dict[str, Any]]:
@@ -230,7 +336,8 @@ def main(arguments: list[str] | None = None) -> None:
             make([(f"{case['case']} as it stands", case, None, 0)])
             plain = made[f"{case['case']} as it stands"]
             keys = [(f"{case['case']} {name} {way:+d}", case, name, way) for name in some for way in (-1, 1)]
-            made.update({key: plain for key, _, name, _ in keys if name not in (*plain["read"], *LIMITS)})
+            alike = {k: plain for k, _, name, way in keys if name not in LIMITS and f"{name} {way:+d}" not in plain["open"]}
+            made.update(alike)
             make(keys)
             store.write_text(json.dumps(made, indent=1), encoding="utf-8")
             written(made, names, limits, cases, options.docs)

@@ -209,8 +209,10 @@ def main() -> None:
     chosen = [c for c in cases() if given.only in c[0]]
     if not chosen:
         parser.error(f"no recordings in {DATA}")
-    found = {name: plain(judge(experiment, other, given.disturbed, given.shuffled)) for name, experiment, other in tqdm(chosen)}
-    write(found, given.docs)
+    found: dict[str, dict[str, Any]] = {}
+    for name, experiment, other in tqdm(chosen):  # what is found of one recording is not lost when the next is interrupted
+        found[name] = plain(judge(experiment, other, given.disturbed, given.shuffled))
+        write(found, given.docs)
 
 
 if __name__ == "__main__":
