@@ -1,20 +1,21 @@
 """What encoder errors add to the covariance of a fit.
 
 Errors u of the positions make rows ``y = X b + e - U b``: they enter through the dynamics, so they come and go with the motion.
-The noise that is learned from residuals knows their mean spectrum alone. With rows weighted by W, ``A = X' W'W X``, the fit
-``A^-1 X' W'W y`` has the covariance
+The noise that is learned from residuals knows their mean spectrum alone. And they are in the regressor ``X = X0 + U`` of the very
+same rows, so that a fit that treats it as exact is attenuated. With rows weighted by W, ``A = X' W'W X``, the fit
+``A^-1 X' W'W y`` has the mean square error
 
-    A^-1 (X' W'W Sigma W'W X + cov(X' W'W U b)) A^-1,
+    A^-1 (X' W'W Sigma W'W X + cov(X0' W'W U b) + m m') A^-1,    m = E[U' W'W U b],
 
-Sigma the sensor's part of the noise (`bayesid.estimators.sensor_noise`) and U b simulated: the smooth motion once more with fresh
-encoder errors, rounded to counts where their size is known. Where that changes no variance by more than a tenth, the covariance
-of noise alone stands.
+Sigma the sensor's part of the noise (`bayesid.estimators.sensor_noise`) and U simulated: the smooth motion once more with fresh
+encoder errors, rounded to counts where their size is known. ``-A^-1 m`` is the bias [Fuller1987]_: an interval about a biased
+estimate has to be as much wider. Where all that changes no variance by more than a tenth, the covariance of noise alone stands.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm, t
@@ -42,32 +43,36 @@ Weighted = Callable[[Block, np.ndarray], np.ndarray]
 class _Draws:
     """Errors that the encoders make in the rows of a recording, or of pieces of it.
 
-    ``errors[d][k]`` (rows, channels) belongs to draw d and ``blocks[k]``; each block stands for ``share`` as many rows.
+    ``errors[d][k]`` (rows, channels) belongs to draw d and ``blocks[k]``, ``regressors[d][k]`` (rows, channels, p) to the first
+    few of these draws; each block stands for ``share`` as many rows.
     """
 
     blocks: Sequence[Block]
     errors: Sequence[Sequence[np.ndarray]]
+    regressors: Sequence[Sequence[np.ndarray]]
     share: Sequence[float]
 
     @classmethod
-    def of(cls, regression: Regression, law: RegressorNoise, values: np.ndarray, most: int) -> _Draws:
-        """Simulate ``U b`` so many times, or as often as there are draws."""
-        blocks = list(law.pieces())
-        errors = law.misread(min(most, law.draws or most), values)
+    def few(cls, regression: Regression, law: RegressorNoise, values: np.ndarray) -> _Draws:
+        """Simulate U and ``U b`` a few times, which the mean of ``U' W'W U b``, a sum of squares, needs no more than."""
+        blocks, count = list(law.pieces(None)), min(_FEW, law.draws or _FEW)
+        regressors = [[x.matrix - b.matrix for x, b in zip(law.pieces(k), blocks, strict=True)] for k in range(count)]
         moving = sum(len(b.rows) for b in blocks if b.group != "poses")
         poses = sum(len(b.rows) for b in blocks if b.group == "poses")
         more = (regression.rows.count - poses) / max(moving, 1)
-        return cls(blocks, errors, [1.0 if b.group == "poses" else more for b in blocks])
+        return cls(blocks, law.misread(count, values), regressors, [1.0 if b.group == "poses" else more for b in blocks])
 
-    def covariance(self, weighted: Weighted) -> np.ndarray:
-        """Covariance of ``X' W'W U b`` (p, p)."""
-        sums = 0.0
+    def mean_square(self, weighted: Weighted) -> np.ndarray:
+        """Mean square of what errors add to the right side, ``cov(X0' W'W U b) + m m'`` with ``m = E[U' W'W U b]`` (p, p)."""
+        sums, mean = 0.0, 0.0
         for k, block in enumerate(self.blocks):
             p = block.matrix.shape[2]
             both = np.concatenate([block.matrix, np.stack([e[k] for e in self.errors], axis=2)], axis=2)
             rows = weighted(block, both).reshape(-1, both.shape[2])
             sums = sums + np.sqrt(self.share[k]) * (rows[:, p:].T @ rows[:, :p])
-        return covariance_of_sums(np.asarray(sums))
+            for regressor, error in zip(self.regressors, rows[:, p:].T, strict=False):
+                mean = mean + self.share[k] / len(self.regressors) * (weighted(block, regressor[k]).reshape(-1, p).T @ error)
+        return covariance_of_sums(np.asarray(sums)) + np.outer(mean, mean)
 
 
 def covariance_of_sums(sums: np.ndarray) -> np.ndarray:
@@ -105,7 +110,7 @@ def may_matter(regression: Regression, weights: Weights) -> bool:
 def with_encoder_errors(
     regression: Regression, weights: Weights, scale: dict[str, np.ndarray] | None, inverse: np.ndarray, middle: np.ndarray
 ) -> np.ndarray | None:
-    """Covariance of the weighted equations' right side, ``X' W'W Sigma W'W X + cov(X' W'W U b)`` (p, p).
+    """Mean square of the weighted equations' right side, ``X' W'W Sigma W'W X + cov(X0' W'W U b) + m m'`` (p, p).
 
     Parameters
     ----------
@@ -130,12 +135,12 @@ def with_encoder_errors(
     def weighted(block: Block, rows: np.ndarray) -> np.ndarray:
         return weights.noise[block.group].whiten(rows) if scale is None else rows * scale[block.group].reshape(-1, 1)
 
-    few = regression.rows.derived("few_encoder_errors", lambda: _Draws.of(regression, law, weights.solution, _FEW))
+    few = regression.rows.derived("few_encoder_errors", lambda: _Draws.few(regression, law, weights.solution))
     bread = inverse @ inverse.T
-    own, added = (np.diag(bread @ m @ bread) for m in (middle, few.covariance(weighted)))
+    own, added = (np.diag(bread @ m @ bread) for m in (middle, few.mean_square(weighted)))
     if np.all(added <= _NEGLIGIBLE * own):
         return None
-    draws, sensor = regression.rows.derived("encoder_errors", lambda: _split(regression, weights, law))
+    draws, sensor = regression.rows.derived("encoder_errors", lambda: _split(regression, weights, law, few))
 
     def coloured(block: Block) -> np.ndarray:
         model, rows = weights.noise[block.group], weighted(block, block.matrix)
@@ -143,7 +148,7 @@ def with_encoder_errors(
         back = model.whiten_transposed(rows) if scale is None else rows * scale[block.group].reshape(-1, 1)
         return sensor[block.group].colour_transposed(back)
 
-    return regression.rows.total(gram_of(coloured), np.add) + draws.covariance(weighted)
+    return regression.rows.total(gram_of(coloured), np.add) + draws.mean_square(weighted)
 
 
 def encoder_growth(regression: Regression, weights: Weights, scale: dict[str, np.ndarray], inverse: np.ndarray) -> np.ndarray:
@@ -197,8 +202,8 @@ def sensor_alone(
     return noise
 
 
-def _split(regression: Regression, weights: Weights, law: RegressorNoise) -> tuple[_Draws, dict[str, NoiseModel]]:
+def _split(regression: Regression, weights: Weights, law: RegressorNoise, few: _Draws) -> tuple[_Draws, dict[str, NoiseModel]]:
     """Many draws, and the noise of the sensor alone."""
-    draws = _Draws.of(regression, law, weights.solution, _MANY)
+    draws = replace(few, errors=law.misread(min(_MANY, law.draws or _MANY), weights.solution))
     drawn = [[(b.group, e) for b, e in zip(draws.blocks, errors, strict=True)] for errors in draws.errors]
     return draws, sensor_alone(regression, weights, weights.solution, drawn)

@@ -159,7 +159,7 @@ def _with_rung_errors(regression: Regression, law: RegressorNoise, pilot: Pilot,
     of such a fit do not show how loud they are. So the spectrum of what the model makes of the errors is known from simulation
     where it is linearised, and only what is left beside them is learned (`bayesid.estimators.sensor_noise`).
     """
-    blocks, drawn = list(law.pieces()), law.misread(_DRAWS, plain)
+    blocks, drawn = list(law.pieces(None)), law.misread(_DRAWS, plain)
     rng = np.random.default_rng(_SEED)
     values, spread = plain, None
     noise: dict[str, NoiseModel] = {}

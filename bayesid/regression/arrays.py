@@ -134,10 +134,6 @@ class GivenErrors:
         """The blocks themselves (None), or with the errors of a draw."""
         return self.blocks if draw is None else self.perturbed(draw, 1.0)
 
-    def pieces(self) -> list[Block]:
-        """The blocks."""
-        return self.blocks
-
     def misread(self, draws: int, solution: np.ndarray) -> list[list[np.ndarray]]:
         """What the errors of each draw add to ``X b``, block by block."""
         ends = np.cumsum([len(block.rows) for block in self.blocks])[:-1]
@@ -154,7 +150,7 @@ class GivenErrors:
     def law(self) -> RegressorNoise:
         """The law that they are drawn from."""
         return RegressorNoise(
-            self.perturbed, self.simulated, self.pieces, self.misread, self.present, self.described, len(self.errors)
+            self.perturbed, self.simulated, self.simulated, self.misread, self.present, self.described, len(self.errors)
         )
 
 

@@ -110,7 +110,7 @@ class RegressorNoise:
     simulated
         Blocks of a motion near the recorded one: without errors (None), or with those of a draw.
     pieces
-        Those without errors, of a few thousand samples at most: evenly spread pieces of long recordings.
+        The same of a few thousand samples at most: evenly spread pieces of long recordings.
     misread
         From a number of draws and parameters (p,): what errors of each draw add to ``X b`` in the rows of `pieces`,
         ``misread(draws, b)[d][k]`` (rows, channels). Much less work than the regressors of these draws.
@@ -126,7 +126,7 @@ class RegressorNoise:
 
     perturbed: Callable[[int, float], Iterable[Block]]
     simulated: Callable[[int | None], Iterable[Block]]
-    pieces: Callable[[], Iterable[Block]]
+    pieces: Callable[[int | None], Iterable[Block]]
     misread: Callable[[int, np.ndarray], list[list[np.ndarray]]]
     present: Callable[[], bool]
     describe: Callable[[], dict[str, Any]]

@@ -170,9 +170,10 @@ class _Encoders:
         quiet = self.quiet()
         return make_blocks(self.row_model, quiet if draw is None else self.again(quiet, quiet, draw))
 
-    def pieces(self) -> Iterator[Block]:
-        """Rows of pieces of the smooth motion."""
-        return make_blocks(self.row_model, self.quiet_pieces())
+    def pieces(self, draw: int | None) -> Iterator[Block]:
+        """Rows of pieces of the smooth motion, without noise (None) or with that of a draw."""
+        parts = self.quiet_pieces()
+        return make_blocks(self.row_model, parts if draw is None else self.again(parts, parts, draw))
 
     def misread(self, draws: int, solution: np.ndarray) -> list[list[np.ndarray]]:
         """What the noise of each draw adds to the modelled readings in the rows of `pieces`."""

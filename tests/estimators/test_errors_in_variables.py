@@ -88,8 +88,8 @@ def test_tls_solves_the_corrected_normal_equations():
     right = np.einsum("tcp,c,tc->p", noisy, weight, target)
     closed = np.linalg.solve(gram - 2000 * 0.09 * weight.sum() * np.eye(3), right)
     np.testing.assert_allclose(corrected.values, closed, rtol=2e-3)
-    off = [(e.values - np.arange(1.0, 4.0)) / e.std for e in (plain, corrected)]
-    assert np.abs(off[0]).max() > 3.0 > np.abs(off[1]).max()
+    off = [np.abs((e.values - np.arange(1.0, 4.0)) / corrected.std).max() for e in (plain, corrected)]
+    assert off[0] > 3.0 > off[1]
 
 
 def test_iv_is_the_textbook_formula():
@@ -257,16 +257,14 @@ def test_draws_are_an_option(robot):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["puma, 5 Hz", "ur5, 5 Hz"])
 def test_encoder_noise_study(case):
-    """A part of the study: the bias goes and the intervals cover, whatever the instruments; those of `ols` do not hold it."""
+    """A part of the study: the bias goes and the intervals cover, whatever the instruments; those of `ols` reach over it."""
     result = encoder_noise.study(count=48, cases=(case,))["cases"][case]
     fits = result["fits"]
     assert fits["ols"]["bias"] > 6.0 * fits["ols"]["chance"]
-    # Its intervals hold the scatter that encoder noise makes, in all parameters, but not the bias, in some.
-    assert fits["ols"]["coverage"]["mean"] < 0.9 and fits["ols"]["coverage"]["lowest"] < 0.1 * result["band"][0]
     for name in ("tls", "iv, commanded trajectory"):
         # What chance alone would show is not counted as bias.
         assert max(fits[name]["bias"] ** 2 - fits[name]["chance"] ** 2, 0.0) ** 0.5 < 0.2 * fits["ols"]["bias"]
-    for name in ("tls", "iv, commanded trajectory", "iv, other period", "iv, even and odd samples"):
+    for name in ("ols", "wls (default)", "tls", "iv, commanded trajectory", "iv, other period", "iv, even and odd samples"):
         assert result["band"][0] <= fits[name]["coverage"]["lowest"]
     assert fits["iv, commanded trajectory"]["encoder_noise_seen"] == 1.0
 

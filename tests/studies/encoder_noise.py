@@ -169,10 +169,10 @@ The automatic bandwidth is what the motions need; 5 Hz is set by hand, as one wo
 
 `tls` needs no more than the positions. `iv` is as good as its instruments: the commanded trajectory (here {{ lead }} ms ahead of
 the robot) is free of noise; another period, and even and odd samples, bring noise of their own. `gls` gives little weight to the
-frequencies that contain the noise. `ols`, `wls` and `gls` treat the regressor as exact, and their
-intervals do not hold the bias. All intervals hold the scatter that encoder noise makes
-([coverage](../encoder-coverage/README.md)); at 5
-Hz and with so much noise those of `gls`, `tls` and `iv` are wider than they need be.
+frequencies that contain the noise. `ols`, `wls` and `gls` treat the regressor as exact; their intervals are
+wider by the bias that encoder noise makes, as all intervals are by the scatter
+([coverage](../encoder-coverage/README.md)). At 5
+Hz and with so much noise they are wider than they need be.
 """
 
 
