@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from bayesid.dynamics.base_parameters import regroup
-from bayesid.posterior import Likelihood, PosteriorModel
+from bayesid.posterior.likelihood import Likelihood
+from bayesid.posterior.model import PosteriorModel
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior

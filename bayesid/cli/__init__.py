@@ -57,6 +57,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     elif collecting:  # a verb may have turned it off
         gc.enable()
     return status
-
-
-__all__ = ["main"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -199,10 +199,7 @@ def readings(
     InputError
         Links of the wrong shape.
     """
-    moving = Model.of(robot, channels, segment, links, terms).readings
-    if gravity:
-        return moving
-    return moving - Model.of(robot, channels, segment.at_rest, links, terms).readings
+    return _of_motion(lambda model: model.readings, robot, channels, segment, links, terms, gravity)
 
 
 def rigid_columns(
@@ -220,10 +217,7 @@ def rigid_columns(
 
     Parameters and errors are those of `readings`.
     """
-    moving = link_derivatives(Model.of(robot, channels, segment, links, terms))
-    if gravity:
-        return moving
-    return moving - link_derivatives(Model.of(robot, channels, segment.at_rest, links, terms))
+    return _of_motion(link_derivatives, robot, channels, segment, links, terms, gravity)
 
 
 def columns(
@@ -252,7 +246,13 @@ def columns(
     own = next((t.values for t in terms if t.effect == effect), effect.starts)
     here = Term(effect, tuple(own if values is None else values))
     full = (*(t for t in terms if t.effect != effect), here)
-    moving = effect_derivatives(Model.of(robot, channels, segment, links, full), effect)
-    if gravity:
-        return moving
-    return moving - effect_derivatives(Model.of(robot, channels, segment.at_rest, links, full), effect)
+    return _of_motion(lambda model: effect_derivatives(model, effect), robot, channels, segment, links, full, gravity)
+
+
+def _of_motion(
+    what: Callable[[Model], np.ndarray], robot: Robot, channels: Channels, segment: MotionSegment, links: np.ndarray,
+    terms: Sequence[Term], gravity: bool,
+) -> np.ndarray:  # fmt: skip
+    """What a model gives for a motion; without gravity, less what it gives for the same positions at rest."""
+    moving = what(Model.of(robot, channels, segment, links, terms))
+    return moving if gravity else moving - what(Model.of(robot, channels, segment.at_rest, links, terms))

@@ -23,7 +23,7 @@ from typing import ClassVar, TypeGuard
 
 import numpy as np
 
-from bayesid.effects.effect import Effect, Parameter
+from bayesid.effects.effect import Effect
 from bayesid.effects.segment import MotionSegment, direction
 from bayesid.effects.sensor_chain import SensorChain
 from bayesid.errors import InputError
@@ -355,11 +355,3 @@ class ReadingEffect(InstrumentEffect):
     def tangent(self, readout: Readout, values: Sequence[float], change: np.ndarray) -> np.ndarray | None:
         """Change of `added` with a change of the true readings (N, c, k); None: it does not depend on them."""
         return None
-
-
-__all__ = [
-    "BodyEffect", "Effect", "EncoderEffect", "FlexibleJointEffect", "GravityEffect", "InstrumentEffect", "JointDelayEffect",
-    "JointGainEffect", "JointMotion", "JointTorqueEffect", "LoadEffect", "Loads", "MountEffect", "Parameter", "PlayEffect",
-    "ReadingEffect", "Readout", "RotorEffect", "SensorEffect", "TransmissionEffect", "comes_on_top", "differences",
-    "needs_no_load",
-]  # fmt: skip

@@ -9,8 +9,8 @@ import numpy as np
 from bayesid.arguments import call
 from bayesid.diagnosis.changes.findings import HiddenChange, NamedChange, ReferenceComparison
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
-from bayesid.report.diagnosis_figures import evidence_bars, waterfall
-from bayesid.report.page import below, cards, figure, how, lead, note, page, versions, warnings
+from bayesid.report.diagnosis_figures import evidence, waterfall
+from bayesid.report.page import below, cards, figure, how, lead, note, page, svg, versions, warnings
 from bayesid.results.changes import (
     gap_sentence,
     next_experiment,
@@ -41,8 +41,6 @@ def changes_report(result: Changes) -> str:
     """The report of ``diagnose --reference``: HTML with all figures inside."""
     c = result.comparison
     problem, before = c.recording.problem, c.reference.problem.experiment
-    named = {x.change.spec for x in c.changes}
-    scores = [(h.spec, e, h.spec in named) for h, e in c.scores]
     places = [_place(result, p) for p in c.errors.places]
     following = next_experiment(c)
     sections = [
@@ -61,13 +59,13 @@ def changes_report(result: Changes) -> str:
             _channels(c),
         ], "The gap"),
         ShownSection("Why that, and not something else" if c.changes else "What was tried", [
-            f"{len(scores)} changes at their places competed, each with what is known of the robot from the reference, and "
+            f"{len(c.scores)} changes at their places competed, each with what is known of the robot from the reference, and "
             f"with friction of every joint free by {percent(FRICTION_SHARE, 2)} and drive gains by {percent(GAIN_SHARE, 2)}: "
             "so much they wander from day to day. The bars show what each alone adds to the log evidence; "
             f"{c.settings.accept:g} is asked for.",
             *runners_up(c),
-            figure(evidence_bars([s for s in scores if s[1] > 0][:_BARS] or scores[:1], c.settings.accept),
-                   "Log evidence of each change on its own; dashed: what is asked for; bold: named."),
+            figure(svg(evidence_figure(result), "evidence"),
+                   "Log evidence of each change on its own; line: what is asked for."),
         ], "Why that"),
         ShownSection("Where reference and recording disagree", [
             ShownTable(["channel", "motion", "when", "reference", "in the end"], places, "kb - n nb n", "narrow"),
@@ -101,8 +99,6 @@ def _change(x: NamedChange, c: ReferenceComparison) -> Html:
 
 def evidence_figure(result: Changes, ax: Any = None) -> Figure:
     """Log evidence of each change on its own, those that are named apart."""
-    from bayesid.report.diagnosis_figures import evidence
-
     c = result.comparison
     named = {x.change.spec for x in c.changes}
     ranked = sorted(((e, h.spec) for h, e in c.scores), reverse=True)[:_BARS]

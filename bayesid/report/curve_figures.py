@@ -71,7 +71,9 @@ def curves(
 
 
 @styled
-def course_figure(names: Sequence[str], values: np.ndarray, changed: np.ndarray, title: str, ax: Any = None) -> Figure:
+def course_figure(
+    names: Sequence[str], values: np.ndarray, changed: np.ndarray, title: str, needed: float | None = None, ax: Any = None
+) -> Figure:
     """A number of every recording of a series in turn, coloured where something changed; nan where it was not compared."""
     figure, axes = make_grid(1, 1, 1.8, top=0.4, ax=ax)
     panel, x = axes[0, 0], np.arange(len(values))
@@ -79,6 +81,8 @@ def course_figure(names: Sequence[str], values: np.ndarray, changed: np.ndarray,
     for part, colour, label in ((changed, PREDICTED, "changed"), (~changed, NOISE, "nothing changed")):
         if part.any():
             panel.plot(x[part], values[part], "o", ms=5, color=colour, mew=0, label=label)
+    if needed is not None:
+        panel.axhline(needed, color="#334155", lw=0.9, label="asked for")
     panel.set_ylim(bottom=0.0)
     panel.set_xticks(x, [name if len(name) < 18 else f"{name[:16]}…" for name in names])
     panel.set_title(title)

@@ -249,7 +249,7 @@ def _left(d: Diagnosis, views: Views) -> ShownSection:
     return ShownSection(f"{'Before and after' if changed else 'What is left'}{'' if d.gap is None else ' on unseen motions'}", [
         "**There is no validation motion**: these are the fitted motions, and held-out validation is "
         "missing." if d.gap is None else "",
-        figure(svg(_bars(d), "bars") if d.errors else "", in_noise if known else in_percent),
+        figure(svg(channels_figure(d), "bars") if d.errors else "", in_noise if known else in_percent),
         figure(svg(signals(curves, changed), "signals"),
                f"Left: measured and predicted in {views.signals[0].motion}, in the channels that disagreed most, at the "
                f"frequencies where it stands out{models}. Right: measured less predicted, on a scale of its own."),
@@ -364,12 +364,7 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
 
 def channels_figure(diagnosis: Diagnosis, ax: Any = None) -> Figure:
     """What is left of each channel, before and after: in units of the noise, or where that is not known in per cent."""
-    return _bars(diagnosis, ax)
-
-
-def _bars(d: Diagnosis, ax: Any = None) -> Figure:
-    """Root mean squares over the motions that were not fitted, or over all where there are none."""
-    errors = shown_errors(d)
+    errors = shown_errors(diagnosis)  # of the motions that were not fitted, or of all where there are none
     known, changed = all(e.before.noise_known for e in errors), any(e.after is not None for e in errors)
 
     def sizes(side: Callable[[MotionErrors], Prediction]) -> np.ndarray:
@@ -377,7 +372,7 @@ def _bars(d: Diagnosis, ax: Any = None) -> Figure:
         return np.sqrt(np.mean(np.square(each), axis=0))
 
     ratios = np.stack([sizes(lambda e: e.before), sizes(lambda e: e.last)], axis=1)
-    complete = max(e.last.expected_rms for e in errors) if known and d.part is None else None
+    complete = max(e.last.expected_rms for e in errors) if known and diagnosis.part is None else None
     return before_and_after(errors[0].before.channel_names, ratios, complete, changed, "× noise" if known else "% of signal", ax)
 
 

@@ -49,23 +49,6 @@ def waterfall(steps: Sequence[tuple[str, float]], floor: float, floor_name: str 
     return chart(y + _TOP, parts)
 
 
-def evidence_bars(scores: Sequence[tuple[str, float, bool]], needed: float) -> Markup:
-    """Name and log evidence of each change on its own, and whether it is named; a line where it counts."""
-    left = 16.0 + max(text_width(name) for name, _, _ in scores)
-    top = max([2.0 * needed, *(value for _, value, _ in scores)])
-    scale = (WIDTH - left - 70.0) / top
-    parts, y = [], _TOP
-    height = _ROW * len(scores)
-    x = left + scale * needed
-    parts.append(f'<path d="M{x:.1f} {y:.1f}v{height:.1f}" stroke="{OTHER}" stroke-width="1" stroke-dasharray="3 3"/>')
-    for name, value, named in scores:
-        parts.append(write(left - 8.0, y + 11.0, name, 9.0, _DARK, "end", bold=named))
-        parts.append(_rect(left, y, scale * max(value, 0.0), CLOSED if named else OTHER))
-        parts.append(write(left + scale * max(value, 0.0) + 6.0, y + 11.0, f"{value:.1f}".replace("-", "−"), 9.0, _DARK))
-        y += _ROW
-    return chart(y + _TOP, parts)
-
-
 BEFORE, AFTER = PREDICTED, "#1d4ed8"
 #: What is noise is white; what is many times as large is dark.
 _HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", "#fde8d0", "#f6a55b", "#d4452a", "#7a1022", "#2a0612"])
@@ -256,6 +239,3 @@ def push_course(times: np.ndarray, force: np.ndarray, std: np.ndarray) -> Figure
     ax.margins(x=0.01)
     add_legend(axes, *ax.get_legend_handles_labels())
     return figure
-
-
-__all__ = ["before_and_after", "evidence", "push_course", "residual_maps", "signals"]

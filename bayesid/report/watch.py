@@ -11,7 +11,8 @@ from markupsafe import Markup
 from bayesid.arguments import argument, call
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, text_width, write
-from bayesid.report.page import figure, how, lead, note, page, versions
+from bayesid.report.curve_figures import course_figure
+from bayesid.report.page import figure, how, lead, note, page, svg, versions
 from bayesid.results.text import HALF, channel_text, number, percent
 from bayesid.section import ShownSection
 
@@ -21,23 +22,7 @@ if TYPE_CHECKING:
     from bayesid.results.watch import Watch
 
 
-_CHANGED, _SAME, _DARK, _LINE = "#c2410c", "#0f766e", "#334155", "#94a3b8"
 _HEIGHT, _TOP, _BOTTOM = 150.0, 26.0, 46.0
-
-
-def course(values: Sequence[float], changed: Sequence[bool], title: str, needed: float | None = None) -> Markup:
-    """A number of every recording in turn, nan where it was not compared: red dots where something changed."""
-    y = np.array(values, float)
-    top = 1.1 * max(float(np.nanmax(y)), needed or 0.0, 1.0)
-    panel = _panel(len(y), (0.0, top))
-    x = np.arange(1.0, len(y) + 1.0)
-    parts = [panel.frame(title, "recording", whole=True), panel.curve(x, y, _LINE)]
-    hit = np.array(changed, bool)
-    parts += [_dots(panel, x[m], y[m], colour) for m, colour in ((hit, _CHANGED), (~hit, _SAME))]
-    if needed is not None:
-        parts.append(panel.curve(np.array([panel.x[0], panel.x[1]]), np.array([needed, needed]), _DARK))
-        parts.append(write(panel.left + panel.width, float(panel.down(np.array(needed))) - 4.0, "asked for", 8.5, _DARK, "end"))
-    return chart(_TOP + _HEIGHT + _BOTTOM, parts)
 
 
 def sizes(series: Sequence[tuple[str, np.ndarray, np.ndarray]], count: int, title: str) -> Markup:
@@ -45,7 +30,7 @@ def sizes(series: Sequence[tuple[str, np.ndarray, np.ndarray]], count: int, titl
     ends = np.concatenate([v + s * np.nan_to_num(h) for _, v, h in series for s in (-1.0, 1.0)])
     low, high = min(0.0, float(np.nanmin(ends))), max(0.0, float(np.nanmax(ends)))
     room = 0.08 * (high - low or 1.0)
-    panel = _panel(count, (low - room * (low < 0.0), high + room))
+    panel = Panel(56.0, _TOP, WIDTH - 76.0, _HEIGHT, (0.5, count + 0.5), (low - room * (low < 0.0), high + room))
     parts, at = [panel.frame(title, "recording", whole=True)], panel.left
     x = np.arange(1.0, count + 1.0)
     for k, (name, value, half) in enumerate(series):
@@ -53,31 +38,18 @@ def sizes(series: Sequence[tuple[str, np.ndarray, np.ndarray]], count: int, titl
         for place, v, h in zip(x, value, half, strict=True):
             if np.isfinite(v) and np.isfinite(h):
                 parts.append(panel.curve(np.array([place, place]), np.array([v - h, v + h]), colour))
-        parts.append(_dots(panel, x, value, colour))
+        seen = np.isfinite(value)
+        parts.append(panel.dots(x[seen], value[seen], colour, 3.0))
         parts.append(write(at, _TOP + _HEIGHT + _BOTTOM + 6.0, f"● {name}", 9.0, colour))
         at += text_width(name) + 28.0
     return chart(_TOP + _HEIGHT + _BOTTOM + 16.0, parts)
-
-
-def _panel(count: int, y: tuple[float, float]) -> Panel:
-    return Panel(56.0, _TOP, WIDTH - 76.0, _HEIGHT, (0.5, count + 0.5), y)
-
-
-def _dots(panel: Panel, x: np.ndarray, y: np.ndarray, colour: str) -> str:
-    seen = np.isfinite(y)
-    places = zip(panel.across(x[seen]).tolist(), panel.down(y[seen]).tolist(), strict=True)
-    return "".join(f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3" fill="{colour}"/>' for a, b in places)
-
-
-_GAP = "What the reference leaves, in what the recording's own fit leaves"
 
 
 def watch_report(result: Watch) -> str:
     """The report of ``watch``: HTML with all figures inside."""
     entries = result.recordings
     channel = next(w.comparison.recording.problem.channel for w in entries if w.comparison is not None)
-    changed = [bool(w.changes) or w.verdict == "unknown" for w in entries]
-    gaps, evidence = [w.gap for w in entries], [w.evidence for w in entries]
+    evidence = [w.evidence for w in entries]
     sections = [
         ShownSection("Recordings", [
             result.table,
@@ -86,8 +58,8 @@ def watch_report(result: Watch) -> str:
                  f"{percent(FRICTION_SHARE, 2)} and drive gains by {percent(GAIN_SHARE, 2)} before anything is named."),
         ]),
         ShownSection("The course", [
-            figure(course(gaps, changed, _GAP), "Red: something changed. Friction that wanders with warmth raises it, too."),
-            figure(course(evidence, changed, "Largest log evidence of a change", result.accept),
+            figure(svg(gap_figure(result), "gap"), "Friction that wanders with warmth raises it, too."),
+            figure(svg(_course(result, evidence, "Largest log evidence of a change", result.accept), "evidence"),
                    "A change is named from the line on. It is higher the more recordings there are, so that the series as a "
                    "whole names falsely as rarely as one alone."),
             *(figure(s, "With 95 % intervals; recordings without a dot show no such change.") for s in _sizes(result)),
@@ -103,11 +75,14 @@ def watch_report(result: Watch) -> str:
 
 def gap_figure(result: Watch, ax: Any = None) -> Figure:
     """What the reference leaves of each recording in turn, in what the recording's own fit leaves."""
-    from bayesid.report.curve_figures import course_figure
+    title = "What the reference leaves, in what the recording's own fit leaves"
+    return _course(result, [w.gap for w in result.recordings], title, ax=ax)
 
+
+def _course(result: Watch, values: Sequence[float], title: str, needed: float | None = None, ax: Any = None) -> Figure:
     entries = result.recordings
     changed = np.array([bool(w.changes) or w.verdict == "unknown" for w in entries], bool)
-    return course_figure([w.name for w in entries], np.array([w.gap for w in entries]), changed, _GAP, ax)
+    return course_figure([w.name for w in entries], np.array(values, float), changed, title, needed, ax)
 
 
 def _sizes(result: Watch) -> list:

@@ -106,11 +106,55 @@ class Diagnosis(ShownResult):
         return f"<Diagnosis of {self.data.experiment.name}: {self.verdict}{named}>"
 
     def _parts(self) -> list[str]:
-        return lines_of(self)
+        fitted = ", ".join(dict.fromkeys(s.motion for s in self.data.segments))
+        lines = [
+            f"{self.data.experiment.name}: {self.verdict.replace('_', ' ')} ({channel_text(self.data.channel)} of {fitted})",
+            verdict_sentence(self),
+        ]
+        for k, f in enumerate(self.found):
+            known = self.part is not None and self.shares(k) is not None
+            share = f"; without it {share_range(self, k)} is open again" if known else ""
+            for key, value, half, _, unit in parameter_rows(self, k):
+                text = value if half == DASH else f"{value} ± {half} {unit}".rstrip()
+                lines.append(f"  {f.term.effect.spec}: {key} {text}{share}")
+                share = ""
+        if self.part is not None:
+            lines.append(part_sentence(self))
+        if self.gap is None:
+            lines.append("No motion that took no part in the fit was compared.")
+        elif self.found and self.part is None:
+            motions, closed, least = ", ".join(self.gap.motions), known_share(self.gap.closed), known_share(self.gap.closed_low)
+            if self.gap.difference < self.data.settings.detected**2:
+                lines.append(f"{motions} hardly depends on what is named, and neither confirms nor denies it")
+            elif closed:
+                lines.append(f"gap on {motions}: {closed} closed" + (f", at least {least}" if least else ""))
+        lines += error_lines(self)
+        if self.verdict == "unknown" and self.search.found:
+            lines.append(f"best attempt: {', '.join(by_kind(f.term for f in self.search.found))}")
+        word = "unexplained" if self.verdict == "nothing_missing" else "stays" if self.part is not None else "disagrees"
+        places = self.where if self.part is None else self.remainder
+        for w in places[:_SHOWN]:
+            lines.append(f"{word}: {disagreement_line(w)}")
+        if len(places) > _SHOWN:
+            lines.append(f"and in {len(places) - _SHOWN} more places")
+        if self.description is not None:
+            lines += described_lines(self.description, self.data.channels.names)
+        lines += [f"note: {r}" for r in notes(self)]
+        if self.next_experiment:
+            lines.append(f"next: {self.next_experiment}")
+        return lines
 
     def _repr_html_(self) -> str:
         """The same for notebooks, values as a table."""
-        return as_html(notebook_parts(self))
+        parts: list[Part] = [f"**{verdict_sentence(self)}** {validation_sentence(self)}"]
+        parts += [f"{line[0].upper()}{line[1:]}." for line in error_lines(self)]
+        if self.found:
+            rows = [(f.term.effect.spec, *row) for k, f in enumerate(self.found) for row in parameter_rows(self, k)]
+            parts.append(ShownTable(["effect", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n ku"))
+        parts += [disagreement_line(w) for w in self.where[:_SHOWN]]
+        if self.description is not None:
+            parts += described_lines(self.description, self.data.channels.names)
+        return as_html([*parts, *notes(self), self.next_experiment])
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -461,48 +505,6 @@ def disagreement_line(where: Disagreement) -> str:
     return text + (f", goes with {w.joint}" if w.joint else "")
 
 
-def lines_of(diagnosis: Diagnosis) -> list[str]:
-    """A headline, and what the terminal shows below it."""
-    d = diagnosis
-    fitted = dict.fromkeys(s.motion for s in d.data.segments)
-    lines = [
-        f"{d.data.experiment.name}: {d.verdict.replace('_', ' ')} ({channel_text(d.data.channel)} of {', '.join(fitted)})",
-        verdict_sentence(d),
-    ]
-    for k, f in enumerate(d.found):
-        known = d.part is not None and d.shares(k) is not None
-        share = f"; without it {share_range(d, k)} is open again" if known else ""
-        for key, value, half, _, unit in parameter_rows(d, k):
-            text = value if half == DASH else f"{value} ± {half} {unit}".rstrip()
-            lines.append(f"  {f.term.effect.spec}: {key} {text}{share}")
-            share = ""
-    if d.part is not None:
-        lines.append(part_sentence(d))
-    if d.gap is None:
-        lines.append("No motion that took no part in the fit was compared.")
-    elif d.found and d.part is None:
-        motions, closed, least = ", ".join(d.gap.motions), known_share(d.gap.closed), known_share(d.gap.closed_low)
-        if d.gap.difference < d.data.settings.detected**2:
-            lines.append(f"{motions} hardly depends on what is named, and neither confirms nor denies it")
-        elif closed:
-            lines.append(f"gap on {motions}: {closed} closed" + (f", at least {least}" if least else ""))
-    lines += error_lines(d)
-    if d.verdict == "unknown" and d.search.found:
-        lines.append(f"best attempt: {', '.join(by_kind(f.term for f in d.search.found))}")
-    word = "unexplained" if d.verdict == "nothing_missing" else "stays" if d.part is not None else "disagrees"
-    places = d.where if d.part is None else d.remainder
-    for w in places[:_SHOWN]:
-        lines.append(f"{word}: {disagreement_line(w)}")
-    if len(places) > _SHOWN:
-        lines.append(f"and in {len(places) - _SHOWN} more places")
-    if d.description is not None:
-        lines += described_lines(d.description, d.data.channels.names)
-    lines += [f"note: {r}" for r in notes(d)]
-    if d.next_experiment:
-        lines.append(f"next: {d.next_experiment}")
-    return lines
-
-
 def share_range(diagnosis: Diagnosis, index: int) -> str:
     """Share of the gap that an effect closes beside all others, and the least it does with 95 % confidence."""
     found = diagnosis.shares(index)
@@ -514,20 +516,6 @@ def share_range(diagnosis: Diagnosis, index: int) -> str:
 def share_text(share: float) -> str:
     """A share of a gap as per cent; rounded down near the whole, so that 100 % means all of it."""
     return percent(share) if share < 0.999 else f"{np.floor(min(share, 1.0) * 1e5) / 1e3:.6g} %"
-
-
-def notebook_parts(diagnosis: Diagnosis) -> list[Part]:
-    """What a notebook shows: values as a table."""
-    d = diagnosis
-    parts: list[Part] = [f"**{verdict_sentence(d)}** {validation_sentence(d)}"]
-    parts += [f"{line[0].upper()}{line[1:]}." for line in error_lines(d)]
-    if d.found:
-        rows = [(f.term.effect.spec, *row) for k, f in enumerate(d.found) for row in parameter_rows(d, k)]
-        parts.append(ShownTable(["effect", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n ku"))
-    parts += [disagreement_line(w) for w in d.where[:_SHOWN]]
-    if d.description is not None:
-        parts += described_lines(d.description, d.data.channels.names)
-    return [*parts, *notes(d), d.next_experiment]
 
 
 def known_share(share: float) -> str:

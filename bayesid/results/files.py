@@ -76,13 +76,13 @@ class Files(NamedTuple):
     documents
         JSON-serialisable objects by file name.
     others
-        Functions that write a file at the given path, by file name.
+        Texts, or functions that write a file at the given path, by file name.
     report
         Text of ``report.html``.
     """
 
     documents: Mapping[str, Any]
-    others: Mapping[str, Callable[[Path], Any]]
+    others: Mapping[str, str | Callable[[Path], Any]]
     report: str
 
 
@@ -146,16 +146,16 @@ def checkpoint_of(folder: str | Path) -> Path:
 
 
 def write_results(
-    folder: str | Path, documents: Mapping[str, Any], files: Mapping[str, Callable[[Path], Any]], report: str,
+    folder: str | Path, documents: Mapping[str, Any], files: Mapping[str, str | Callable[[Path], Any]], report: str,
     beside: Mapping[str, Any] | None = None,
 ) -> Path:  # fmt: skip
     """Write JSON documents, other files and the report, whose path is returned; they appear together or not at all.
 
     Every document gets a key ``files``: the SHA-256 of each other file written with it. By that a later run knows which files
-    are an earlier one's, and may be replaced; those of the same documents that it does not make are removed. ``documents`` are
-    by file name, in which numbers that are not finite are refused; ``files`` are functions that write one at the given path;
-    ``beside`` holds further keys of every document, of `BESIDE`. An `InputError` where the folder cannot be written, or a file
-    of the user's own would be replaced.
+    are an earlier one's, and may be replaced; those of the same documents that it does not make are removed. ``documents``
+    are by file name, in which numbers that are not finite are refused; ``files`` are texts, or functions that write one at
+    the given path; ``beside`` holds further keys of every document, of `BESIDE`. An `InputError` where the folder cannot be
+    written, or a file of the user's own would be replaced.
     """
     folder = check_output(folder)
     _check_ours(folder, (*documents, *files, REPORT))
@@ -163,7 +163,10 @@ def write_results(
     try:
         with whole_folder(folder) as made:
             for name, write in files.items():
-                write(made / name)
+                if isinstance(write, str):
+                    (made / name).write_text(write, encoding="utf-8")
+                else:
+                    write(made / name)
             (made / REPORT).write_text(report, encoding="utf-8")
             hashes = {name: _hash(made / name) for name in (*files, REPORT)}
             for name, document in documents.items():

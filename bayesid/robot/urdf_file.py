@@ -131,6 +131,12 @@ class UrdfFile:
         return parse_xml(self.data, self.path.name)
 
     @property
+    def root_link(self) -> str:
+        """The link that is no joint's child."""
+        children = {joint.child for joint in self.joints.values()}
+        return next(str(link.get("name")) for link in self.root.findall("link") if link.get("name") not in children)
+
+    @property
     def text(self) -> str:
         """The whole document without its comments."""
         return ET.tostring(self.root, encoding="unicode")

@@ -146,12 +146,7 @@ def _(result: Calibration) -> Files:
     """``calibration.json``, gravity compensation for ROS, and the report."""
     from bayesid.report.payload import calibration_report
 
-    others = {name: partial(_write, text) for name, text in result.exports().items()}
-    return Files({"calibration.json": strict(result.to_dict())}, others, calibration_report(result))
-
-
-def _write(text: str, path: Path) -> None:
-    path.write_text(text, encoding="utf-8")
+    return Files({"calibration.json": strict(result.to_dict())}, result.exports(), calibration_report(result))
 
 
 def _quantities(fit: Identification) -> dict[str, tuple[Quantity, ...]]:
@@ -196,11 +191,10 @@ def _load(fit: Identification, experiment: Experiment, known: BodyKnowledge | No
     sensor, urdf = experiment.sensor, experiment.robot.description
     centre = np.array([q.value for q in known.centre])
     turn = pin.rpy.rpyToMatrix(*map(float, sensor.rpy))
-    frame, children = urdf.joints[str(sensor.joint)].child, {j.child for j in urdf.joints.values()}
-    world = next(str(link.get("name")) for link in urdf.root.findall("link") if link.get("name") not in children)
+    frame = urdf.joints[str(sensor.joint)].child
     return Load(
-        known.mass.value, centre, None, frame, world, experiment.robot.gravity, frame, turn.T @ (centre - sensor.translation),
-        np.asarray(fit.offset[0]),
+        known.mass.value, centre, None, frame, urdf.root_link, experiment.robot.gravity, frame,
+        turn.T @ (centre - sensor.translation), np.asarray(fit.offset[0]),
     )  # fmt: skip
 
 

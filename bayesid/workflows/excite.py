@@ -248,10 +248,10 @@ def _(result: Excitation) -> Files:
     from bayesid.report.excitation import excitation_report
 
     motions = [result.trajectory, *(b.trajectory for b in result.blocks)]
-    others: dict[str, Callable[[Path], Any]] = {
+    others: dict[str, str | Callable[[Path], Any]] = {
         f"{motion.name}.csv": lambda path, motion=motion: write_trajectory(motion, path) for motion in motions
     }
-    others["motions.toml"] = lambda path: path.write_text(tomli_w.dumps({"motion": _sections(motions)}), encoding="utf-8")
+    others["motions.toml"] = tomli_w.dumps({"motion": _sections(motions)})
     if (run := result.static_run) is not None:
         others["stop-and-go.csv"] = lambda path: _write_stops(run, path)
     return Files({"excitation.json": result.to_dict()}, others, excitation_report(result))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +29,6 @@ from bayesid.results.posterior import ExperimentPosterior
 from bayesid.robot.robot import Robot
 from bayesid.robot.urdf import JointDynamics, urdf_text
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
-
-__all__ = ["FORMS", "export"]
 
 
 @dataclass
@@ -328,9 +325,4 @@ def _(result: Exported) -> Files:
     """``export.json``, the files asked for, and the report."""
     from bayesid.report.export import export_report
 
-    others = {name: partial(_write, text) for name, text in result.texts.items()}
-    return Files({"export.json": result.to_dict()}, others, export_report(result))
-
-
-def _write(text: str, path: Path) -> None:
-    path.write_text(text, encoding="utf-8")
+    return Files({"export.json": result.to_dict()}, result.texts, export_report(result))

@@ -199,7 +199,7 @@ def payload(
         plain=(plain.mass, *plain.centre), effects=found.effects, verdict=found.verdict, offset=found.offset,
         sensor_frame=urdf.joints[detail].child if source == "sensor" else None,
         centre_in_sensor=_in_sensor(found, experiment) if source == "sensor" else None,
-        world=next(link for link in _links(urdf.root) if link not in {j.child for j in urdf.joints.values()}),
+        world=urdf.root_link,
         gravity=experiment.robot.gravity, evidence=found.evidence, nominal_share=found.share, more=found.more,
         sentences=found.sentences,
         warnings=found.warnings, seconds=clock.stop(),
@@ -219,9 +219,9 @@ def _(result: PayloadEstimate) -> Files:
     """``payload.json``, a file for every controller, and the report."""
     from bayesid.report.payload import payload_report
 
-    others = {name: partial(_write, text) for name, text in result.exports().items()}
+    others = dict(result.exports())
     if (more := result.more) is not None and len(more.positions):
-        others[NEXT_POSES] = partial(_write, _table(more.positions))
+        others[NEXT_POSES] = _table(more.positions)
     return Files({"payload.json": strict(result.to_dict())}, others, payload_report(result))
 
 
@@ -229,10 +229,6 @@ def _table(positions: np.ndarray) -> str:
     """Poses as a table of a motion of kind ``poses``."""
     rows = [",".join([str(k), *(f"{x:.6f}" for x in row)]) for k, row in enumerate(positions)]
     return "\n".join([",".join(["t", *(f"q{j + 1}" for j in range(positions.shape[1]))]), *rows]) + "\n"
-
-
-def _write(text: str, path: Path) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 def _weighed(asked: _Asked, body: int) -> _Found:
@@ -354,10 +350,6 @@ def _in_sensor(found: _Found, experiment: Experiment) -> np.ndarray | None:
         return None
     rotation = pin.rpy.rpyToMatrix(*map(float, sensor.rpy))
     return rotation.T @ (np.array([q.value for q in found.known.centre]) - sensor.translation)
-
-
-def _links(root) -> list[str]:
-    return [str(link.get("name")) for link in root.findall("link")]
 
 
 def _next_sentence(more: NextPoses) -> str:

@@ -30,9 +30,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import bayesid
-from bayesid.posterior import Likelihood, PosteriorModel, choose_engine, coordinates
+from bayesid.posterior import coordinates
 from bayesid.posterior.diagnostics import convergence
 from bayesid.posterior.ensemble import Ensemble
+from bayesid.posterior.likelihood import Likelihood
+from bayesid.posterior.model import PosteriorModel
+from bayesid.posterior.run import choose_engine
 from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare

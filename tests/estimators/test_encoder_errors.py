@@ -8,7 +8,7 @@ from bayesid.estimators import fit
 from bayesid.estimators.encoder_errors import sandwich_middle, with_encoder_errors
 from bayesid.estimators.least_squares import weighted_factor
 from bayesid.estimators.weights import learn_weights
-from bayesid.posterior import Likelihood
+from bayesid.posterior.likelihood import Likelihood
 from bayesid.regression.encoder_noise import _errors
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import Regression

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bayesid.estimators import METHODS, Bounds, Huber, LeastSquares, Physical, Ridge, Student, TruncatedSVD, fit
-from bayesid.posterior import PosteriorModel
+from bayesid.posterior.model import PosteriorModel
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior

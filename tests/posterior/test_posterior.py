@@ -8,9 +8,12 @@ from scipy.stats import ks_2samp
 
 from bayesid.errors import InputError
 from bayesid.estimators import fit
-from bayesid.posterior import DofPrior, Posterior, PosteriorModel, ScalePrior, choose_engine, run
 from bayesid.posterior.checkpoint import load_checkpoint, save_checkpoint
 from bayesid.posterior.diagnostics import convergence
+from bayesid.posterior.likelihood import DofPrior, ScalePrior
+from bayesid.posterior.model import PosteriorModel
+from bayesid.posterior.result import Posterior
+from bayesid.posterior.run import choose_engine, run
 from bayesid.posterior.trajectory import feasible, travel
 from bayesid.robot import inertia
 from tests.posterior_cases import one_body, regression, rejection, unrestricted

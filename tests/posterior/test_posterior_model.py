@@ -12,11 +12,14 @@ from bayesid.errors import InputError
 from bayesid.estimators import fit
 from bayesid.estimators.factor import whitened
 from bayesid.estimators.weights import learn_weights
-from bayesid.posterior import DofPrior, Posterior, PosteriorModel, ScalePrior, choose_engine, coordinates
+from bayesid.posterior import coordinates
 from bayesid.posterior.density import _density
 from bayesid.posterior.diagnostics import Convergence
+from bayesid.posterior.likelihood import DofPrior, ScalePrior
+from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.predictive import log_likelihood_terms
-from bayesid.posterior.run import Chains
+from bayesid.posterior.result import Posterior
+from bayesid.posterior.run import Chains, choose_engine
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from tests.posterior_cases import BODY, one_body, regression, unrestricted

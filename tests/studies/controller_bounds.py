@@ -35,8 +35,8 @@ from bayesid.design.bounds.workspace import Terms, Workspace, mass_eigenvalues, 
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.dynamics.channels import torque_channels
 from bayesid.errors import BayesidWarning
-from bayesid.posterior import PosteriorModel, choose_engine
-from bayesid.posterior.run import run
+from bayesid.posterior.model import PosteriorModel
+from bayesid.posterior.run import choose_engine, run
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.table import Table
 from bayesid.regression.options import FitOptions

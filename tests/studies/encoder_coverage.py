@@ -22,7 +22,8 @@ from threadpoolctl import threadpool_limits
 
 from bayesid import estimators
 from bayesid.errors import BayesidWarning
-from bayesid.posterior import PosteriorModel, choose_engine
+from bayesid.posterior.model import PosteriorModel
+from bayesid.posterior.run import choose_engine
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare

@@ -31,7 +31,9 @@ import bayesid
 from bayesid.dynamics.base_parameters import BaseParameters, structural_base
 from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.dynamics.regressors import dynamics_regressor
-from bayesid.posterior import DofPrior, Likelihood, PosteriorModel, ScalePrior, choose_engine
+from bayesid.posterior.likelihood import DofPrior, Likelihood, ScalePrior
+from bayesid.posterior.model import PosteriorModel
+from bayesid.posterior.run import choose_engine
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import load_robot

@@ -15,7 +15,7 @@ from bayesid.recordings.importing.clock import RowTimes
 from bayesid.recordings.importing.column_map import ColumnMap
 from bayesid.recordings.importing.found_columns import FoundColumn, Layout
 from bayesid.recordings.importing.stream import Stream
-from bayesid.recordings.importing.units import UNITS, needs_constant
+from bayesid.recordings.importing.units import NEED_CONSTANT, UNITS
 from bayesid.recordings.motion_checks import Timing, rows_held
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table, check_increasing
 from bayesid.recordings.toml_file import LARGEST
@@ -149,7 +149,7 @@ def _converted(found: FoundColumn, stated: ColumnMap, joints: Sequence[str], sou
     unit = stated.unit(found.ours) or found.unit
     joint = joints[int(found.ours.removeprefix(quantity)) - 1] if found.ours not in WRENCH_COLUMNS else ""
     scale = stated.factor(found.ours, joint)
-    if unit is not None and needs_constant(unit) and scale is None:
+    if unit is not None and unit in NEED_CONSTANT and scale is None:
         raise InputError(
             f"torques in {unit} say nothing without a constant", file=stated.file or source,
             key=f"units {found.ours}", value=unit,

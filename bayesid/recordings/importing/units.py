@@ -15,11 +15,11 @@ _RATE = {
 }  # fmt: skip
 _FORCE, _MOMENT = {"N": 1.0, "kN": 1e3, "mN": 1e-3}, {"N m": 1.0, "N mm": 1e-3, "N cm": 1e-2, "mN m": 1e-3, "kN m": 1e3}
 #: Units of readings that say nothing of a torque without a constant of the joint.
-_NEED_CONSTANT = {"A": 1.0, "mA": 1e-3, "V": 1.0, "counts": 1.0, "%": 1.0}
+NEED_CONSTANT = {"A": 1.0, "mA": 1e-3, "V": 1.0, "counts": 1.0, "%": 1.0}
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 #: Units of a quantity: the first is the one that bayesid computes in.
 UNITS: dict[str, dict[str, float]] = {
-    "t": {**_TIME, "iso": math.nan}, "q": _ANGLE, "v": _RATE, "qr": _ANGLE, "tau": {**_MOMENT, **_FORCE, **_NEED_CONSTANT},
+    "t": {**_TIME, "iso": math.nan}, "q": _ANGLE, "v": _RATE, "qr": _ANGLE, "tau": {**_MOMENT, **_FORCE, **NEED_CONSTANT},
     "f": _FORCE, "m": _MOMENT,
 }  # fmt: skip
 _SPELT = {"nm": "N m", "degree": "deg", "degrees": "deg", "°": "deg", "°/s": "deg/s", "radians": "rad", "radian": "rad",
@@ -52,8 +52,3 @@ def check_unit(quantity: str, text: str, file: str, key: str) -> str:
             remedy=suggest(text, UNITS[quantity], "write one of"),
         )
     return unit
-
-
-def needs_constant(unit: str) -> bool:
-    """Whether a torque's unit says nothing without a constant of the joint."""
-    return unit in _NEED_CONSTANT

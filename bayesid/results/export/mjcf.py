@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.results.export.plain import JointConstants, joint_constants, plain_urdf
+from bayesid.results.export.plain import JointConstants, joint_constants, plain_urdf, with_comments
 from bayesid.robot.mjcf import compare, load_mujoco
 from bayesid.robot.robot import Robot
 from bayesid.robot.urdf import JointDynamics
@@ -89,11 +89,7 @@ def _with_all_digits(mujoco: Any, text: str, model: Any, constants: JointConstan
     option = root.find("option")
     _put(ET.SubElement(root, "option") if option is None else option, {"gravity": model.opt.gravity})
     _add_delays(root, constants.delays)
-    lines = [f"{name} = {value:.6g} {unit}".rstrip() for name, (value, unit) in constants.beside.items()]
-    for line in reversed(["Identified along, and not part of this model:", *lines] if lines else []):
-        root.insert(0, ET.Comment(f" {line.replace('--', '- -')} "))
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode") + "\n"
+    return with_comments(root, constants)
 
 
 def _add_delays(root: ET.Element, delays: Mapping[str, float]) -> None:

@@ -101,3 +101,12 @@ def _move_limits(joint: ET.Element, robot: Robot, k: int) -> None:
     """A joint without limits of its position is one that turns without end: others would hold it at zeros."""
     if joint.get("type") == "revolute" and not np.isfinite([robot.lower[k], robot.upper[k]]).all():
         joint.set("type", "continuous")
+
+
+def with_comments(root: ET.Element, constants: JointConstants) -> str:
+    """The text of a file, with comments on what was identified and the format does not hold."""
+    lines = [f"{name} = {value:.6g} {unit}".rstrip() for name, (value, unit) in constants.beside.items()]
+    for line in reversed(["Identified along, and not part of this model:", *lines] if lines else []):
+        root.insert(0, ET.Comment(f" {line.replace('--', '- -')} "))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.results.export.plain import joint_constants, plain_urdf
+from bayesid.results.export.plain import joint_constants, plain_urdf, with_comments
 from bayesid.robot.robot import Robot
 from bayesid.robot.urdf import JointDynamics
 
@@ -46,11 +46,7 @@ def sdf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics: 
             ET.SubElement(element, "pose", relative_to=str(joint.get("name")))
         _add_inertial(element, inertial if float(mass) > 0.0 else None)
         _add_joint(model, joint, name, constants.springs)
-    lines = [f"{name} = {value:.6g} {unit}".rstrip() for name, (value, unit) in constants.beside.items()]
-    for line in reversed(["Identified along, and not part of this model:", *lines] if lines else []):
-        root.insert(0, ET.Comment(f" {line.replace('--', '- -')} "))
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode") + "\n"
+    return with_comments(root, constants)
 
 
 def _add_inertial(link: ET.Element, stated: ET.Element | None) -> None:
