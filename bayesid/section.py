@@ -21,28 +21,16 @@ Cell: TypeAlias = str | tuple[str, str]
 
 @dataclass(frozen=True)
 class ShownTable:
-    """A table.
+    """A table."""
 
-    Attributes
-    ----------
-    head
-        Titles of the columns.
-    rows
-        Cells, as many a row as there are titles.
-    columns
-        Letters for each column, separated by blanks: ``n`` a number, to the right; ``k`` never broken into lines; ``w`` wide
-        text or a long sum, folded after its first terms; ``u`` powers of units raised; ``b`` bold; ``d`` dim; ``t`` a class
-        of parameters, on its colour; ``-`` none of these. The first is ``k`` and all others ``n`` by default.
-    style
-        ``narrow``, as wide as its text; ``tight``, in small type; or neither.
-    marks
-        Style of single rows by their index: ``rule``, a line above; ``dim``.
-    """
-
-    head: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
+    head: Sequence[str]  # titles of the columns
+    rows: Sequence[Sequence[Cell]]  # cells, as many a row as there are titles
+    #: Letters for each column, separated by blanks: ``n`` a number, to the right; ``k`` never broken into lines; ``w`` wide
+    #: text or a long sum, folded after its first terms; ``u`` powers of units raised; ``b`` bold; ``d`` dim; ``t`` a class of
+    #: parameters, on its colour; ``-`` none of these. The first is ``k`` and all others ``n`` by default.
     columns: str = ""
-    style: str = ""
+    style: str = ""  # ``narrow``, as wide as its text; ``tight``, in small type; or neither
+    #: Style of single rows by their index: ``rule``, a line above; ``dim``.
     marks: Mapping[int, str] = field(default_factory=dict)
 
     def text(self) -> list[str]:
@@ -82,21 +70,11 @@ Part: TypeAlias = "str | ShownTable | Html | ShownSection"
 
 @dataclass(frozen=True)
 class ShownSection:
-    """Paragraphs, tables and figures under a title.
+    """Paragraphs, tables and figures under a title."""
 
-    Attributes
-    ----------
-    title
-        The heading.
-    parts
-        What stands under it; empty paragraphs are left out.
-    name
-        A word or two for the list of sections; the title by default.
-    """
-
-    title: str
-    parts: Sequence[Part]
-    name: str = ""
+    title: str  # the heading
+    parts: Sequence[Part]  # what stands under it; empty paragraphs are left out
+    name: str = ""  # a word or two for the list of sections; the title by default
 
     @property
     def anchor(self) -> str:

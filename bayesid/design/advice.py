@@ -29,21 +29,11 @@ _NAMED, _LONG = 3, 40
 
 @dataclass(frozen=True)
 class Advice:
-    """One thing that would make a difference, or a reason why none would.
+    """One thing that would make a difference, or a reason why none would."""
 
-    Attributes
-    ----------
-    about
-        ``motion``, ``joint``, ``sensor``, ``effect``, ``noise`` or ``prior``.
-    text
-        What to do, or what need not be done.
-    gain
-        How many more combinations would be shown, or better known.
-    """
-
-    about: str
-    text: str
-    gain: int = 0
+    about: str  # ``motion``, ``joint``, ``sensor``, ``effect``, ``noise`` or ``prior``
+    text: str  # what to do, or what need not be done
+    gain: int = 0  # how many more combinations would be shown, or better known
 
 
 def advise(

@@ -33,31 +33,16 @@ from bayesid.simulation.trajectories import Trajectory
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Expected:
-    """What an estimate of base and effect parameters would know.
+    """What an estimate of base and effect parameters would know."""
 
-    Attributes
-    ----------
-    base
-        Base parameters of the richest motion: the first ``base.rank`` columns.
-    effect_names, effect_units
-        The remaining columns.
-    factor
-        R (p, p), upper triangular: ``R'R`` is the information of all columns.
-    weighted
-        Factor of the rows as a fit weights them (p, p): the same for white noise.
-    row_model
-        How samples become rows; None where the rows were given.
-    segments
-        The motions that count.
-    """
-
-    base: BaseParameters
+    base: BaseParameters  # base parameters of the richest motion: the first ``base.rank`` columns
+    #: The remaining columns.
     effect_names: tuple[str, ...]
     effect_units: tuple[str, ...]
-    factor: np.ndarray
-    weighted: np.ndarray
-    row_model: RowModel | None = None
-    segments: tuple[Segment, ...] = ()
+    factor: np.ndarray  # R (p, p), upper triangular: ``R'R`` is the information of all columns
+    weighted: np.ndarray  # factor of the rows as a fit weights them (p, p): the same for white noise
+    row_model: RowModel | None = None  # how samples become rows; None where the rows were given
+    segments: tuple[Segment, ...] = ()  # the motions that count
 
     def __repr__(self) -> str:
         return f"<Expected: {self.base.rank} base and {len(self.effect_names)} effect parameters>"

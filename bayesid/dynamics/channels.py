@@ -19,33 +19,19 @@ WRENCH_NAMES = ("fx", "fy", "fz", "mx", "my", "mz")
 
 @dataclass(frozen=True)
 class Channels:
-    """What is measured: twists, each fixed in a link.
+    """What is measured: twists, each fixed in a link."""
 
-    Attributes
-    ----------
-    names, units
-        A name and unit a channel (c,).
-    joint
-        Joint whose frame each twist is fixed in, -1 for the root (c,).
-    twist
-        The twist in that frame, linear part at the frame's origin (c, 6).
-    bodies
-        Which bodies each channel carries (c, b).
-    reference_rotation, reference_translation
-        Pose in the base frame of the frame all computing is done in (3, 3), (3,); a base sensor's own
-        frame, so that its rows need no projection.
-    static_wrench
-        Constant reading of what hangs on the sensor and does not move (c,).
-    """
-
+    #: A name and unit a channel (c,).
     names: tuple[str, ...]
     units: tuple[str, ...]
-    joint: np.ndarray
-    twist: np.ndarray
-    bodies: np.ndarray
+    joint: np.ndarray  # joint whose frame each twist is fixed in, -1 for the root (c,)
+    twist: np.ndarray  # the twist in that frame, linear part at the frame's origin (c, 6)
+    bodies: np.ndarray  # which bodies each channel carries (c, b)
+    #: Pose in the base frame of the frame all computing is done in (3, 3), (3,); a base sensor's own frame, so that its rows
+    #: need no projection.
     reference_rotation: np.ndarray
     reference_translation: np.ndarray
-    static_wrench: np.ndarray
+    static_wrench: np.ndarray  # constant reading of what hangs on the sensor and does not move (c,)
 
     def __len__(self) -> int:
         return len(self.names)

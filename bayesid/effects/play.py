@@ -155,27 +155,13 @@ Torque = Callable[[Motion, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Fitting:
-    """What encoders' samples are fitted with, and when.
+    """What encoders' samples are fitted with, and when."""
 
-    Attributes
-    ----------
-    splines
-        Of each level, at the samples (M,).
-    whole
-        Those that positions are smoothed to.
-    wanted
-        The same where the link's motion is wanted (N,).
-    still
-        Whether no encoder moves (M,).
-    step
-        Time between samples [s].
-    """
-
-    splines: Sequence[Splines]
-    whole: Splines
-    wanted: Splines
-    still: np.ndarray
-    step: float
+    splines: Sequence[Splines]  # of each level, at the samples (M,)
+    whole: Splines  # those that positions are smoothed to
+    wanted: Splines  # the same where the link's motion is wanted (N,)
+    still: np.ndarray  # whether no encoder moves (M,)
+    step: float  # time between samples [s]
 
     @classmethod
     def of(cls, times: np.ndarray, encoders: np.ndarray, bandwidth: float, wanted: np.ndarray) -> Fitting:
@@ -192,43 +178,21 @@ class Fitting:
 
 @dataclass(frozen=True, eq=False)
 class Behind:
-    """How far a link is behind its motor at the encoders' samples.
+    """How far a link is behind its motor at the encoders' samples."""
 
-    Attributes
-    ----------
-    values
-        (M,) [rad or m].
-    side
-        Which side of the play it is on where crossings were sought anew (M,), -1 elsewhere.
-    """
-
-    values: np.ndarray
-    side: np.ndarray
+    values: np.ndarray  # (M,) [rad or m]
+    side: np.ndarray  # which side of the play it is on where crossings were sought anew (M,), -1 elsewhere
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """What is known of the joints at the encoders' own samples.
+    """What is known of the joints at the encoders' own samples."""
 
-    Attributes
-    ----------
-    encoders
-        Where motors hold the joints, as the encoders read it (M, n) [rad or m].
-    smooth
-        That smoothed: positions, velocities and accelerations, (M, n) each [rad or m and per second (squared)].
-    torque
-        That motions at these samples take [N m or N].
-    inertia
-        That a joint feels (M,) [kg m^2 or kg].
-    fitting
-        What they are fitted with.
-    """
-
-    encoders: np.ndarray
-    smooth: Motion
-    torque: Torque
-    inertia: Callable[[int], np.ndarray]
-    fitting: Fitting
+    encoders: np.ndarray  # where motors hold the joints, as the encoders read it (M, n) [rad or m]
+    smooth: Motion  # that smoothed: positions, velocities and accelerations, (M, n) each [rad or m and per second (squared)]
+    torque: Torque  # that motions at these samples take [N m or N]
+    inertia: Callable[[int], np.ndarray]  # that a joint feels (M,) [kg m^2 or kg]
+    fitting: Fitting  # what they are fitted with
 
     def behind(self, play: Sequence[tuple[PlayEffect, Sequence[float]]], start: Mapping[int, Behind]) -> dict[int, Behind]:
         """How far the links of joints with play are behind their motors at the samples.

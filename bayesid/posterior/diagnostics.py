@@ -23,17 +23,10 @@ class ConvergenceError(EstimationError):
 
 @dataclass(frozen=True, eq=False)
 class Convergence:
-    """Diagnostics of every sampled number.
+    """Diagnostics of every sampled number."""
 
-    Attributes
-    ----------
-    names
-        (d,).
-    r_hat, ess_bulk, ess_tail
-        (d,).
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # (d,)
+    #: (d,).
     r_hat: np.ndarray
     ess_bulk: np.ndarray
     ess_tail: np.ndarray

@@ -119,48 +119,20 @@ def student_slopes(
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """Whitened rows, reduced channel by channel.
+    """Whitened rows, reduced channel by channel."""
 
-    Attributes
-    ----------
-    factors
-        Triangular factor of each channel's [X y] (k, p + 1, p + 1), channels of one group after the other.
-    counts
-        Rows of each (k,).
-    names
-        Of the scales (k,): the channel, with its group where there are several.
-    groups
-        In the order of the factors.
-    white
-        Whitened rows of each group (N, channels, p + 1); kept for Student's t alone.
-    noise
-        What they were whitened with, by group.
-    adjust
-        What whitened rows [X y] were then multiplied by (p + 1, p + 1).
-    complete
-        False where the fit that the noise was learned from said that something is missing in the model.
-    agreement
-        The probability that this rests on.
-    dispersion
-        Factor of the covariance for the scatter between parts of the recording.
-    estimate_only
-        Whether the rows say an estimate and its covariance only: one factor, of these, and one scale.
-    factor
-        Of all weighted rows as they are; None where the likelihood was made from factors.
-    """
-
-    factors: np.ndarray
-    counts: np.ndarray
-    names: tuple[str, ...]
-    groups: tuple[str, ...] = ("trajectory",)
-    white: tuple[np.ndarray, ...] = ()
-    noise: dict[str, NoiseModel] | None = None
-    adjust: np.ndarray | None = None
-    complete: bool = True
-    agreement: float = 1.0
-    dispersion: float = 1.0
-    estimate_only: bool = False
-    factor: Factor | None = None
+    factors: np.ndarray  # triangular factor of each channel's [X y] (k, p + 1, p + 1), channels of one group after the other
+    counts: np.ndarray  # rows of each (k,)
+    names: tuple[str, ...]  # of the scales (k,): the channel, with its group where there are several
+    groups: tuple[str, ...] = ("trajectory",)  # in the order of the factors
+    white: tuple[np.ndarray, ...] = ()  # whitened rows of each group (N, channels, p + 1); kept for Student's t alone
+    noise: dict[str, NoiseModel] | None = None  # what they were whitened with, by group
+    adjust: np.ndarray | None = None  # what whitened rows [X y] were then multiplied by (p + 1, p + 1)
+    complete: bool = True  # false where the fit that the noise was learned from said that something is missing in the model
+    agreement: float = 1.0  # the probability that this rests on
+    dispersion: float = 1.0  # factor of the covariance for the scatter between parts of the recording
+    estimate_only: bool = False  # whether the rows say an estimate and its covariance only: one factor, of these, and one scale
+    factor: Factor | None = None  # of all weighted rows as they are; None where the likelihood was made from factors
 
     @classmethod
     def of(cls, regression: Regression, weights: Weights | None = None, *, keep_rows: bool = False) -> Likelihood:

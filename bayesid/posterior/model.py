@@ -67,34 +67,21 @@ _SHOWN = 4
 
 @dataclass(frozen=True, eq=False)
 class PosteriorModel:
-    """Everything that defines the posterior.
+    """Everything that defines the posterior."""
 
-    Attributes
-    ----------
-    base, effect_names, effect_units, effect_non_negative
-        What the columns of the regression are.
-    likelihood
-        Of the fitted rows.
-    prior
-        Of the link parameters; None: flat in the base parameters, which any finite value may take.
-    noise
-        ``gaussian`` or ``student``.
-    scale_prior, dof_prior
-        Of the noise.
-    effect_std
-        Standard deviations of normal laws of the effects about zero (e,), cut at zero for those that cannot be
-        negative; infinite: flat.
-    """
-
+    #: What the columns of the regression are.
     base: BaseParameters
     effect_names: tuple[str, ...]
     effect_units: tuple[str, ...]
     effect_non_negative: np.ndarray
-    likelihood: Likelihood
-    prior: Prior | None = None
-    noise: str = "gaussian"
+    likelihood: Likelihood  # of the fitted rows
+    prior: Prior | None = None  # of the link parameters; None: flat in the base parameters, which any finite value may take
+    noise: str = "gaussian"  # ``gaussian`` or ``student``
+    #: Of the noise.
     scale_prior: ScalePrior = field(default_factory=ScalePrior)
     dof_prior: DofPrior = field(default_factory=DofPrior)
+    #: Standard deviations of normal laws of the effects about zero (e,), cut at zero for those that cannot be negative;
+    #: infinite: flat.
     effect_std: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod

@@ -12,17 +12,10 @@ from pydantic_core import ErrorDetails
 
 @dataclass(frozen=True)
 class Finding:
-    """Something in the data that is certain: it comes first.
+    """Something in the data that is certain: it comes first."""
 
-    Attributes
-    ----------
-    text
-        One line: which file and column, what it is, what was done or what to do about it.
-    silences
-        Channels, ``wrench`` or ``torque``, whose bad fit it explains: no mistake is guessed from their readings.
-    """
-
-    text: str
+    text: str  # one line: which file and column, what it is, what was done or what to do about it
+    #: Channels, ``wrench`` or ``torque``, whose bad fit it explains: no mistake is guessed from their readings.
     silences: tuple[str, ...] = ()
 
 

@@ -107,9 +107,9 @@ def write(x: float, y: float, text: str, size: float, colour: str, anchor: str =
     )
 
 
-def text_width(text: str, size: float = 9.0) -> float:
-    """Room for a text of mixed letters in the widest font that a page may be shown in [pt]."""
-    return 0.66 * size * len(text)
+def text_width(text: str) -> float:
+    """Room for a text of mixed letters of 9 pt in the widest font that a page may be shown in [pt]."""
+    return 0.66 * 9.0 * len(text)
 
 
 def key(x: float, y: float, text: str, colour: str, thickness: float = 1.6) -> str:

@@ -50,21 +50,13 @@ class SignalView:
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Where the noise floor of a channel comes from.
+    """Where the noise floor of a channel comes from."""
 
-    Attributes
-    ----------
-    channel, unit
-        What is shown.
-    sample
-        Standard deviation of the sensor's noise in one sample.
-    sensor, encoders
-        What of it, and of the encoders' noise in the prediction, falls into the band that is compared.
-    """
-
+    #: What is shown.
     channel: str
     unit: str
-    sample: float
+    sample: float  # standard deviation of the sensor's noise in one sample
+    #: What of it, and of the encoders' noise in the prediction, falls into the band that is compared.
     sensor: float
     encoders: float
 

@@ -36,33 +36,17 @@ _DIGITS = 6
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """What controllers ask for.
+    """What controllers ask for."""
 
-    Attributes
-    ----------
-    mass
-        [kg].
-    centre
-        Centre of mass in the flange's frame (3,) [m].
-    inertia
-        About the centre of mass in the flange's axes (3, 3) [kg m^2]; None where it is not known.
-    frame, world
-        Names of the frame that ``centre`` is in, and of the robot's root.
-    gravity
-        In the root's frame (3,) [m/s^2].
-    sensor
-        Name of the sensor's frame; None without one.
-    centre_in_sensor, offset
-        Centre of mass in the sensor's frame (3,) [m], and its constant reading (6,) [N, N m].
-    """
-
-    mass: float
-    centre: np.ndarray
-    inertia: np.ndarray | None
+    mass: float  # [kg]
+    centre: np.ndarray  # centre of mass in the flange's frame (3,) [m]
+    inertia: np.ndarray | None  # about the centre of mass in the flange's axes (3, 3) [kg m^2]; None where it is not known
+    #: Names of the frame that ``centre`` is in, and of the robot's root.
     frame: str
     world: str
-    gravity: np.ndarray
-    sensor: str | None = None
+    gravity: np.ndarray  # in the root's frame (3,) [m/s^2]
+    sensor: str | None = None  # name of the sensor's frame; None without one
+    #: Centre of mass in the sensor's frame (3,) [m], and its constant reading (6,) [N, N m].
     centre_in_sensor: np.ndarray | None = None
     offset: np.ndarray | None = None
 

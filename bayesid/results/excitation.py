@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from bayesid.design.excitation.blocks import ScriptedBlock
+from bayesid.design.excitation.blocks import ScriptedBlock, StopAndGo
 from bayesid.design.excitation.diagnosability import Diagnosability
 from bayesid.design.excitation.series import FourierSeries
-from bayesid.design.excitation.stops import StopAndGo
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.results.files import ShownResult, strict
 from bayesid.results.text import number, percent

@@ -21,55 +21,29 @@ ZERO: Vector = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Link:
-    """A URDF link; without mass it is a bare frame.
+    """A URDF link; without mass it is a bare frame."""
 
-    Attributes
-    ----------
-    name
-        Name of the link.
-    mass
-        Mass [kg].
-    com
-        Centre of mass in the link frame [m].
-    inertia
-        ``Ixx, Iyy, Izz`` or ``Ixx, Ixy, Ixz, Iyy, Iyz, Izz`` about the centre of mass [kg m^2].
-    rpy
-        Orientation of the axes of `inertia` in the link frame [rad].
-    """
-
-    name: str
-    mass: float = 0.0
-    com: Vector = ZERO
-    inertia: Sequence[float] = ZERO
-    rpy: Vector = ZERO
+    name: str  # name of the link
+    mass: float = 0.0  # mass [kg]
+    com: Vector = ZERO  # centre of mass in the link frame [m]
+    inertia: Sequence[float] = ZERO  # ``Ixx, Iyy, Izz`` or ``Ixx, Ixy, Ixz, Iyy, Iyz, Izz`` about the centre of mass [kg m^2]
+    rpy: Vector = ZERO  # orientation of the axes of `inertia` in the link frame [rad]
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A URDF joint.
+    """A URDF joint."""
 
-    Attributes
-    ----------
-    name, parent, child
-        Names of the joint and the two links.
-    xyz, rpy
-        Pose of the joint frame in the parent link [m, rad].
-    kind
-        URDF joint type.
-    axis
-        Axis in the joint frame.
-    limits
-        Lower, upper [rad or m], velocity [per second], effort [N m or N]; only the last two matter to a
-        continuous joint.
-    """
-
+    #: Names of the joint and the two links.
     name: str
     parent: str
     child: str
+    #: Pose of the joint frame in the parent link [m, rad].
     xyz: Vector = ZERO
     rpy: Vector = ZERO
-    kind: str = "revolute"
-    axis: Vector = (0.0, 0.0, 1.0)
+    kind: str = "revolute"  # URDF joint type
+    axis: Vector = (0.0, 0.0, 1.0)  # axis in the joint frame
+    #: Lower, upper [rad or m], velocity [per second], effort [N m or N]; only the last two matter to a continuous joint.
     limits: tuple[float, float, float, float] = (-math.pi, math.pi, 2.0, 100.0)
 
 

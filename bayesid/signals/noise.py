@@ -25,21 +25,11 @@ ORDERS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Autoregressive noise with correlated innovations.
+    """Autoregressive noise with correlated innovations."""
 
-    Attributes
-    ----------
-    coefficients
-        Whitening polynomial of each channel, ``1, -a_c1, ..., -a_cp`` (channels, p + 1).
-    innovation
-        Covariance S of the innovations (channels, channels), squared units of the channels.
-    from_zero
-        Whether the noise starts from the zero state (filtered rows) or is stationary.
-    """
-
-    coefficients: np.ndarray
-    innovation: np.ndarray
-    from_zero: bool = False
+    coefficients: np.ndarray  # whitening polynomial of each channel, ``1, -a_c1, ..., -a_cp`` (channels, p + 1)
+    innovation: np.ndarray  # covariance S of the innovations (channels, channels), squared units of the channels
+    from_zero: bool = False  # whether the noise starts from the zero state (filtered rows) or is stationary
 
     @classmethod
     def stated(cls, std: np.ndarray, known_poles: np.ndarray | None = None) -> NoiseModel:

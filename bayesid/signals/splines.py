@@ -16,21 +16,11 @@ _ORDER = DEGREE + 1
 
 @dataclass(frozen=True, eq=False)
 class Splines:
-    """Uniform quintic B-splines at some times, six of which live at each: the functions of `bayesid.signals.smooth`.
+    """Uniform quintic B-splines at some times, six of which live at each: the functions of `bayesid.signals.smooth`."""
 
-    Attributes
-    ----------
-    first
-        Of the six at each time (M,).
-    values
-        Of the six, and of their first two derivatives (3, M, 6).
-    count
-        Number k of functions.
-    """
-
-    first: np.ndarray
-    values: np.ndarray
-    count: int
+    first: np.ndarray  # of the six at each time (M,)
+    values: np.ndarray  # of the six, and of their first two derivatives (3, M, 6)
+    count: int  # number k of functions
 
     @classmethod
     def over(cls, times: np.ndarray, bandwidth: float, at: np.ndarray | None = None) -> Splines:

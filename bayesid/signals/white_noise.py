@@ -9,11 +9,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import chi2
 
 #: Samples of one window, and the quantile of windows that count as quiet.
-WINDOW, QUIET = 64, 0.1
+_WINDOW, _QUIET = 64, 0.1
 #: Windows looked at together, which stay in the processor's cache.
 _AT_ONCE = 128
 #: White noise has as much power at a fifth of the sampling rate as near half of it; beyond this ratio it was filtered.
-FILTERED_RATIO = 8.0
+_FILTERED_RATIO = 8.0
 #: Share of the readings' size below which their noise is no sensor's (the best converters resolve 20 bits): a filter took it.
 NO_SENSOR = 1e-6
 #: The mean over all windows is taken, being more exact, where it exceeds what the quiet ones say by less than this.
@@ -26,7 +26,7 @@ _ABOVE = (0.3, 0.48)
 _COMPARED = ((0.15, 0.25), (0.4, 0.48))
 
 
-def quiet_noise(readings: Sequence[np.ndarray], window: int = WINDOW, quantile: float = QUIET) -> np.ndarray:
+def quiet_noise(readings: Sequence[np.ndarray]) -> np.ndarray:
     """Standard deviation of one sample's white noise (c,), from quiet moments above the motion's band.
 
     Power at high frequencies in short windows. Real motion reaches there, too, where the robot hurries, reverses or is
@@ -34,44 +34,37 @@ def quiet_noise(readings: Sequence[np.ndarray], window: int = WINDOW, quantile: 
     the noise were all there is. A quantile of few windows is inexact. So the mean over the largest share of them, quietest first,
     is taken that agrees with it, over what that mean would be of noise alone: over all where the noise is the same all the time.
 
-    Parameters
-    ----------
-    readings
-        Recordings made in the same way (a static run may average its readings longer than a moving one), each (N, c).
-    window, quantile
-        Samples of a window, and which quantile of the windows is surely quiet.
+    Recordings (N, c) are made in the same way; a static run may average its readings longer than a moving one.
     """
-    (powers,), freedom = _powers(readings, [_ABOVE], window)
-    return _quiet(powers, freedom, quantile)
+    (powers,), freedom = _powers(readings, [_ABOVE])
+    return _quiet(powers, freedom)
 
 
 def steady_noise(readings: Sequence[np.ndarray]) -> np.ndarray:
     """As `quiet_noise` (c,), but from all windows where the noise is as strong in all of them."""
-    (powers,), freedom = _powers(readings, [_ABOVE], WINDOW)
-    quiet, mean = _quiet(powers, freedom, QUIET), np.sqrt(powers.mean(axis=0))
+    (powers,), freedom = _powers(readings, [_ABOVE])
+    quiet, mean = _quiet(powers, freedom), np.sqrt(powers.mean(axis=0))
     return np.where(mean < _STEADY * quiet, mean, quiet)
 
 
-def low_passed(
-    readings: Sequence[np.ndarray], ratio: float = FILTERED_RATIO, window: int = WINDOW, quantile: float = QUIET
-) -> bool:
+def low_passed(readings: Sequence[np.ndarray]) -> bool:
     """Whether readings were filtered before they were recorded, so that noise above the band tells nothing of it below.
 
     Either the noise falls with frequency there, or so little of it is left in most channels that only the digits of the file make
     it. Simulated readings without noise count as such, too: nothing tells how much of it a sensor would have.
     """
-    lower, upper = (np.quantile(p, quantile, axis=0) for p in _powers(readings, _COMPARED, window)[0])
+    lower, upper = (np.quantile(p, _QUIET, axis=0) for p in _powers(readings, _COMPARED)[0])
     size = np.sqrt(np.sum([np.einsum("kc,kc->c", y, y) for y in readings], axis=0) / sum(map(len, readings)))
-    falls = np.max(lower / np.maximum(upper, 1e-300)) > ratio
+    falls = np.max(lower / np.maximum(upper, 1e-300)) > _FILTERED_RATIO
     return bool(falls or np.median(np.sqrt(upper) / np.maximum(size, 1e-300)) < NO_SENSOR)
 
 
-def _quiet(powers: np.ndarray, freedom: float, quantile: float) -> np.ndarray:
+def _quiet(powers: np.ndarray, freedom: float) -> np.ndarray:
     """Standard deviation of noise whose windows have these powers (w, c) at their quietest (c,)."""
-    usual = chi2.ppf(quantile, freedom) / freedom
+    usual = chi2.ppf(_QUIET, freedom) / freedom
     density = chi2.pdf(freedom * usual, freedom) * freedom
-    out = sure = np.quantile(powers, quantile, axis=0) / usual
-    error = np.sqrt(quantile * (1.0 - quantile) / len(powers)) / (density * usual)
+    out = sure = np.quantile(powers, _QUIET, axis=0) / usual
+    error = np.sqrt(_QUIET * (1.0 - _QUIET) / len(powers)) / (density * usual)
     ordered = np.sort(powers, axis=0)
     for share in _SHARES:
         count = int(np.ceil(share * len(powers)))
@@ -82,7 +75,7 @@ def _quiet(powers: np.ndarray, freedom: float, quantile: float) -> np.ndarray:
     return np.sqrt(out)
 
 
-def _powers(readings: Sequence[np.ndarray], bands: Sequence[tuple[float, float]], window: int) -> tuple[list[np.ndarray], float]:
+def _powers(readings: Sequence[np.ndarray], bands: Sequence[tuple[float, float]]) -> tuple[list[np.ndarray], float]:
     """Power per sample in bands (shares of the sampling rate) of every window (w, c), and the last band's degrees of freedom.
 
     Windows overlap by half: those of a Hann shape are nearly independent. Second differences first, so that a slow, large
@@ -90,7 +83,7 @@ def _powers(readings: Sequence[np.ndarray], bands: Sequence[tuple[float, float]]
     """
     powers, freedom = [[] for _ in bands], 1.0
     for values in readings:
-        length = min(window, len(values) // 2)
+        length = min(_WINDOW, len(values) // 2)
         windows = sliding_window_view(values, length, axis=0)[:: max(length // 2, 1)]  # (w, c, samples), nothing copied
         difference = np.diff(np.eye(length), n=2, axis=0)
         frequency = np.fft.rfftfreq(length - 2)

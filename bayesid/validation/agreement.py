@@ -29,25 +29,16 @@ class Gap:
 
     Estimates from the same rows are correlated, so this is no test: 1 says that the choice of the estimator
     moves the result by as much as the noise does.
-
-    Attributes
-    ----------
-    first, second
-        Which estimators.
-    compared
-        How many base parameters both and the reference determine.
-    rms, largest
-        Of the differences [standard deviations of the reference].
-    where
-        Label of the base parameter that differs most.
     """
 
+    #: Which estimators.
     first: str
     second: str
-    compared: int
+    compared: int  # how many base parameters both and the reference determine
+    #: Of the differences [standard deviations of the reference].
     rms: float
     largest: float
-    where: str
+    where: str  # label of the base parameter that differs most
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,10 @@ import pandas as pd
 import tomli_w
 
 from bayesid.arguments import argument, with_given
-from bayesid.design.excitation.blocks import check_blocks, scripted_blocks
+from bayesid.design.excitation.blocks import StopAndGo, check_blocks, scripted_blocks, stop_and_go
 from bayesid.design.excitation.information import CRITERIA
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import Plan, make_plan
-from bayesid.design.excitation.stops import StopAndGo, stop_and_go
 from bayesid.design.expected import expect
 from bayesid.design.reading_noise import white_noise
 from bayesid.design.visibility import shown

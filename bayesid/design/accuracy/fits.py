@@ -74,21 +74,12 @@ class Learned:
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of fits of twins.
+    """Errors of fits of twins."""
 
-    Attributes
-    ----------
-    columns
-        Estimate less truth of the user's base and effect parameters (runs, p); nan where a fit cannot determine one.
-    prediction
-        Error of the predicted motions as a share of their signal (runs,).
-    rank
-        How many of the columns are base parameters.
-    """
-
+    #: Estimate less truth of the user's base and effect parameters (runs, p); nan where a fit cannot determine one.
     columns: np.ndarray
-    prediction: np.ndarray
-    rank: int
+    prediction: np.ndarray  # error of the predicted motions as a share of their signal (runs,)
+    rank: int  # how many of the columns are base parameters
 
     @property
     def runs(self) -> int:

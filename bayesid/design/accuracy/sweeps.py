@@ -306,7 +306,7 @@ def sweep(bench: Bench, runs: int, seed: int, tell: Callable[[str], object]) -> 
         quiet = found[repr(settings[1])]
         assert not isinstance(quiet, str)  # the same recordings with less noise
         linear = linear_errors(bench, quiet, seed)
-    sweeps = tuple(_sweep(bench, f, own_level, errors, found, linear) for f in factors)
+    sweeps = tuple(_sweep(f, own_level, errors, found, linear) for f in factors)
     return Sweeps(own_level, None if linear is None else linear.std(1.0, 1.0), sweeps, runs, seed)
 
 
@@ -393,9 +393,7 @@ def linear_errors(bench: Bench, quiet: Errors, seed: int) -> LinearErrors:
     return LinearErrors(bench, estimate.full_covariance, np.cov(columns.T), columns.mean(axis=0))
 
 
-def _sweep(
-    bench: Bench, factor: SweptFactor, own: Level, errors: Errors, found: dict[str, Errors | str], linear: LinearErrors | None
-) -> Sweep:
+def _sweep(factor: SweptFactor, own: Level, errors: Errors, found: dict[str, Errors | str], linear: LinearErrors | None) -> Sweep:
     levels = []
     for trial in factor.trials:
         if trial.setting is None:

@@ -30,55 +30,24 @@ _NOTHING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """A robot as the data leave it.
+    """A robot as the data leave it."""
 
-    Attributes
-    ----------
-    problem
-        Its model, and the motions that were fitted.
-    source
-        ``posterior`` or ``estimate``.
-    method
-        The estimator's name; of a posterior its prior.
-    mean, covariance
-        Base parameters, then the effects that were estimated (p,), (p, p); multiplied by ``held_out_scale``.
-    draws
-        Posterior draws of them (n, p); None: a normal law.
-    undetermined
-        Which of them the data say nothing of, or only in sums with others (p,).
-    effect_values
-        Of all effects of the model, the fixed ones included (q,).
-    links
-        Links that can exist, drawn within the uncertainty.
-    centre
-        Links whose base parameters are ``mean``, possible or not (P,).
-    urdf
-        Links of ``identified.urdf``, which can exist (P,).
-    dynamics
-        What stands beside these in ``identified.urdf``: friction, and what it has no place for.
-    dispersion
-        Factor that the covariance has for what the model lacks; 1: none.
-    held_out_scale
-        Share of that covariance which held-out motions leave; 1: all of it.
-    rel_std
-        Relative standard deviation of the prior on links; None: one of the user's own.
-    """
-
-    problem: Problem
-    source: str
-    method: str
+    problem: Problem  # its model, and the motions that were fitted
+    source: str  # ``posterior`` or ``estimate``
+    method: str  # the estimator's name; of a posterior its prior
+    #: Base parameters, then the effects that were estimated (p,), (p, p); multiplied by ``held_out_scale``.
     mean: np.ndarray
     covariance: np.ndarray
-    draws: np.ndarray | None
-    undetermined: np.ndarray
-    effect_values: np.ndarray
-    links: LinkDraws
-    centre: np.ndarray
-    urdf: np.ndarray
-    dynamics: JointDynamics
-    dispersion: float
-    held_out_scale: float
-    rel_std: float | None
+    draws: np.ndarray | None  # posterior draws of them (n, p); None: a normal law
+    undetermined: np.ndarray  # which of them the data say nothing of, or only in sums with others (p,)
+    effect_values: np.ndarray  # of all effects of the model, the fixed ones included (q,)
+    links: LinkDraws  # links that can exist, drawn within the uncertainty
+    centre: np.ndarray  # links whose base parameters are ``mean``, possible or not (P,)
+    urdf: np.ndarray  # links of ``identified.urdf``, which can exist (P,)
+    dynamics: JointDynamics  # what stands beside these in ``identified.urdf``: friction, and what it has no place for
+    dispersion: float  # factor that the covariance has for what the model lacks; 1: none
+    held_out_scale: float  # share of that covariance which held-out motions leave; 1: all of it
+    rel_std: float | None  # relative standard deviation of the prior on links; None: one of the user's own
 
     @property
     def base(self) -> BaseParameters:

@@ -81,10 +81,6 @@ class Remainder:
         place = (rng.integers(lengths[which])[:, None] + after) % lengths[which][:, None]
         return joined[(np.cumsum(lengths) - lengths)[which][:, None] + place]
 
-    def faster(self, v: np.ndarray) -> np.ndarray:
-        """Which channels a motion (N, n) takes to speeds that none of these motions had (c,)."""
-        return _speeds(v, self.channels).max(axis=0) > self.speeds[:, -1]
-
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as in ``bounds.json``."""
         return {

@@ -52,18 +52,10 @@ class Detectable:
 
 @dataclass(frozen=True)
 class Diagnosability:
-    """What a motion could show beyond the model.
+    """What a motion could show beyond the model."""
 
-    Attributes
-    ----------
-    effects
-        One entry an effect and place, those that are seen worst first.
-    hidden
-        Effects that links or the model's own effects explain wholly, at any size.
-    """
-
-    effects: tuple[Detectable, ...]
-    hidden: tuple[str, ...]
+    effects: tuple[Detectable, ...]  # one entry an effect and place, those that are seen worst first
+    hidden: tuple[str, ...]  # effects that links or the model's own effects explain wholly, at any size
 
     @property
     def value(self) -> float:

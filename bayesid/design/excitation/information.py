@@ -96,17 +96,10 @@ _OF_EIGENVALUES: dict[str, Callable[[np.ndarray], tuple[float, np.ndarray]]] = {
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """A function of the information matrix that is to be as small as possible.
+    """A function of the information matrix that is to be as small as possible."""
 
-    Attributes
-    ----------
-    name
-        One of `CRITERIA`.
-    quantities
-        C: linear functions of the scaled base parameters whose variance counts (r, m); for ``quantity`` only.
-    """
-
-    name: str = "d"
+    name: str = "d"  # one of `CRITERIA`
+    #: C: linear functions of the scaled base parameters whose variance counts (r, m); for ``quantity`` only.
     quantities: np.ndarray | None = None
 
     def __post_init__(self) -> None:

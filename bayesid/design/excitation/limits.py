@@ -47,29 +47,17 @@ class LoadLimit:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What a motion must keep to.
+    """What a motion must keep to."""
 
-    Attributes
-    ----------
-    lower, upper
-        Positions (n,) [rad or m].
-    speed, acceleration
-        Largest of each joint (n,) [per second (squared)]; infinite where there is none.
-    loads
-        Joint torques and wrenches.
-    clearance
-        Bodies that must not meet, or None.
-    moving
-        Joints that move.
-    """
-
+    #: Positions (n,) [rad or m].
     lower: np.ndarray
     upper: np.ndarray
+    #: Largest of each joint (n,) [per second (squared)]; infinite where there is none.
     speed: np.ndarray
     acceleration: np.ndarray
-    loads: tuple[LoadLimit, ...] = ()
-    clearance: Clearance | None = None
-    moving: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    loads: tuple[LoadLimit, ...] = ()  # joint torques and wrenches
+    clearance: Clearance | None = None  # bodies that must not meet, or None
+    moving: np.ndarray = field(default_factory=lambda: np.zeros(0, int))  # joints that move
 
     @property
     def middle(self) -> np.ndarray:

@@ -173,42 +173,19 @@ class RivalPair:
 
 @dataclass(frozen=True, eq=False)
 class Telling:
-    """A motion to tell rivals apart.
+    """A motion to tell rivals apart."""
 
-    Attributes
-    ----------
-    rivals
-        Their names, the most probable first.
-    weights
-        Probability of each to be true before the motion; equal where the recordings show none of them.
-    estimated
-        Whether the recordings show the rivals, so that their sizes are estimates; otherwise usual sizes are supposed.
-    trajectory
-        The motion.
-    label
-        What it is, in words.
-    probability
-        That the true one alone is left after it.
-    wrong
-        That a wrong one is.
-    pairs
-        Each rival as the true one against each other.
-    tried
-        How many motions were looked at.
-    notes
-        What was assumed of the limits.
-    """
-
-    rivals: tuple[str, ...]
-    weights: tuple[float, ...]
+    rivals: tuple[str, ...]  # their names, the most probable first
+    weights: tuple[float, ...]  # probability of each to be true before the motion; equal where the recordings show none of them
+    #: Whether the recordings show the rivals, so that their sizes are estimates; otherwise usual sizes are supposed.
     estimated: bool
-    trajectory: Trajectory
-    label: str
-    probability: float
-    wrong: float
-    pairs: tuple[RivalPair, ...]
-    tried: int
-    notes: tuple[str, ...]
+    trajectory: Trajectory  # the motion
+    label: str  # what it is, in words
+    probability: float  # that the true one alone is left after it
+    wrong: float  # that a wrong one is
+    pairs: tuple[RivalPair, ...]  # each rival as the true one against each other
+    tried: int  # how many motions were looked at
+    notes: tuple[str, ...]  # what was assumed of the limits
 
     @property
     def hopeless(self) -> tuple[RivalPair, ...]:

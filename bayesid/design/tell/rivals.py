@@ -44,18 +44,10 @@ _WIDE = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Rivals, and how probable each is to be the true one.
+    """Rivals, and how probable each is to be the true one."""
 
-    Attributes
-    ----------
-    rivals
-        At least two.
-    weights
-        Probabilities (rivals,); zero for one that is only looked at as what imitates another.
-    """
-
-    rivals: tuple[Rival, ...]
-    weights: np.ndarray
+    rivals: tuple[Rival, ...]  # at least two
+    weights: np.ndarray  # probabilities (rivals,); zero for one that is only looked at as what imitates another
 
 
 def known(fitted: Fit, name: str, evidence: float, dispersion: float) -> Rival:

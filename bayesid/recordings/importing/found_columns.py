@@ -51,18 +51,10 @@ class FoundColumn:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where everything is in a recording.
+    """Where everything is in a recording."""
 
-    Attributes
-    ----------
-    joints
-        Names of the joints that have positions, in the order of q1 ... qn.
-    found
-        Columns of positions, velocities, commands, torques and the wrench.
-    """
-
-    joints: tuple[str, ...]
-    found: tuple[FoundColumn, ...]
+    joints: tuple[str, ...]  # names of the joints that have positions, in the order of q1 ... qn
+    found: tuple[FoundColumn, ...]  # columns of positions, velocities, commands, torques and the wrench
 
     def left_over(self, streams: Iterable[Stream], clocks: Iterable[tuple[Stream, str]]) -> list[str]:
         """Full names of columns that are not used."""

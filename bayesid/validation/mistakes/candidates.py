@@ -23,33 +23,15 @@ _KILOGRAM_FORCE = 9.80665  # [N]
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One possible mistake.
+    """One possible mistake."""
 
-    Attributes
-    ----------
-    name
-        Short and fixed, for programs: ``torque_sign``, ``wrench_sign``, ...
-    where
-        Which column or joint: ``tau3``, ``q1,q2``; empty for all.
-    says
-        What seems to be wrong, as a sentence without its full stop.
-    remedy
-        What to do about it.
-    change
-        What undoes it.
-    touched
-        Joints that it is about; empty: the whole robot.
-    odds
-        Log odds beside a usual single mistake, which are 0 [nats].
-    """
-
-    name: str
-    where: str
-    says: str
-    remedy: str
-    change: Change
-    touched: tuple[int, ...] = ()
-    odds: float = 0.0
+    name: str  # short and fixed, for programs: ``torque_sign``, ``wrench_sign``, ...
+    where: str  # which column or joint: ``tau3``, ``q1,q2``; empty for all
+    says: str  # what seems to be wrong, as a sentence without its full stop
+    remedy: str  # what to do about it
+    change: Change  # what undoes it
+    touched: tuple[int, ...] = ()  # joints that it is about; empty: the whole robot
+    odds: float = 0.0  # log odds beside a usual single mistake, which are 0 [nats]
 
 
 def of_gravity(gravity: np.ndarray) -> list[Candidate]:

@@ -37,30 +37,16 @@ _ROUNDS = 2  # of weighting channels by what they leave
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What would make the recorded data right.
+    """What would make the recorded data right."""
 
-    Attributes
-    ----------
-    readings
-        Matrix that the readings are multiplied by, (c, c), or one a sample, (N, c, c); None: as they are.
-    joints
-        Matrix that positions and their rates are multiplied by (n, n); None: as they are.
-    gravity
-        In place of the stated one (3,) [m/s^2]; None: the stated one.
-    weightless
-        Channels whose readings lack the weight, because something has taken out all of it.
-    weight_added
-        Channels that lack the weight of the nominal bodies, because something has taken out what the URDF says it is.
-    numbers
-        How many of its numbers were chosen to suit the data.
-    """
-
+    #: Matrix that the readings are multiplied by, (c, c), or one a sample, (N, c, c); None: as they are.
     readings: np.ndarray | None = None
-    joints: np.ndarray | None = None
-    gravity: np.ndarray | None = None
-    weightless: tuple[int, ...] = ()
+    joints: np.ndarray | None = None  # matrix that positions and their rates are multiplied by (n, n); None: as they are
+    gravity: np.ndarray | None = None  # in place of the stated one (3,) [m/s^2]; None: the stated one
+    weightless: tuple[int, ...] = ()  # channels whose readings lack the weight, because something has taken out all of it
+    #: Channels that lack the weight of the nominal bodies, because something has taken out what the URDF says it is.
     weight_added: tuple[int, ...] = ()
-    numbers: int = 0
+    numbers: int = 0  # how many of its numbers were chosen to suit the data
 
 
 AS_RECORDED = Change()
@@ -311,17 +297,10 @@ class Explainer:
 
 @dataclass(eq=False)
 class Design:
-    """Columns of all parameters (N, c, p), and what follows from them.
+    """Columns of all parameters (N, c, p), and what follows from them."""
 
-    Attributes
-    ----------
-    columns
-        Readings of each parameter of one.
-    alone
-        What each column of the table leaves, by itself, as the reading of each channel (c, c); None: not asked for.
-    """
-
-    columns: np.ndarray
+    columns: np.ndarray  # readings of each parameter of one
+    #: What each column of the table leaves, by itself, as the reading of each channel (c, c); None: not asked for.
     alone: np.ndarray | None = None
 
     @cached_property

@@ -25,22 +25,14 @@ _Piece = tuple[int, np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Samples:
-    """Joint motion and readings at ``N`` instants.
+    """Joint motion and readings at ``N`` instants."""
 
-    Attributes
-    ----------
-    positions, velocities, accelerations
-        (N, n) [rad or m, and per second (squared)]; zero rates for poses at rest.
-    readings
-        What the channels read, nothing subtracted (N, c).
-    part, motion
-        Which gap-free piece and which recording each is from (N,): a sensor may have been zeroed in between.
-    """
-
+    #: (N, n) [rad or m, and per second (squared)]; zero rates for poses at rest.
     positions: np.ndarray
     velocities: np.ndarray
     accelerations: np.ndarray
-    readings: np.ndarray
+    readings: np.ndarray  # what the channels read, nothing subtracted (N, c)
+    #: Which gap-free piece and which recording each is from (N,): a sensor may have been zeroed in between.
     part: np.ndarray
     motion: np.ndarray
 
