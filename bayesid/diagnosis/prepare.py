@@ -198,11 +198,19 @@ def _poses(experiment: Experiment, motion: Motion, channel: str, middle: np.ndar
 
 
 def _fast_count(count: int) -> int:
-    """The largest number of samples up to this one that cosine transforms are fast of: without a prime factor above 11.
+    """The largest number of samples up to this one that cosine transforms are fast of: without a prime factor above 50.
 
     Of a prime number of samples one takes ten times as long. The few at the end that are left out have hardly any weight.
     """
-    return next(n for n in range(count, 0, -1) if next_fast_len(n) == n)
+    primes = [p for p in range(2, 50) if all(p % d for d in range(2, p))]
+    for n in range(count, 0, -1):
+        left = n
+        for p in primes:
+            while left % p == 0:
+                left //= p
+        if left == 1:
+            return n
+    return count
 
 
 def even_grid(times: np.ndarray, rate: float) -> np.ndarray:
