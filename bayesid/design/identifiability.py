@@ -129,7 +129,7 @@ def report_of(plan: PlannedMotions, sensor_set: SensorSet, noise: ReadingNoise, 
     links = sure_links(experiment.robot)
     spread = Prior.nominal(links, 2.0**0.5).covariance
     rel_std = experiment.inertia_rel_std
-    prior = Prior.nominal(links, rel_std).covariance if rel_std and states_masses(experiment.robot) else None
+    prior = Prior.warped(links, rel_std).covariance if rel_std and states_masses(experiment.robot) else None
     report = set_report(sensor_set, expected, found, richest, spread, prior)
     used = {"wrench": ("wrench",), "torque": ("torque",), "both": ("wrench", "torque")}[sensor_set.channel]
     std = noise.of(sensor_set)["trajectory"].std.tolist()

@@ -107,7 +107,7 @@ def _factor(
     rows = reduce_whitened(make_blocks(model, segments), noise.of(sensor_set)).matrix
     if experiment.inertia_rel_std and states_masses(robot):
         k = model.base.matrix
-        covariance = k @ Prior.nominal(robot.nominal, experiment.inertia_rel_std).covariance @ k.T
+        covariance = k @ Prior.warped(robot.nominal, experiment.inertia_rel_std).covariance @ k.T
         size = np.sqrt(np.diag(covariance))
         known = np.zeros((len(k), rows.shape[1]))
         known[:, : len(k)] = np.linalg.inv(np.linalg.cholesky(covariance / np.outer(size, size))) / size

@@ -296,7 +296,7 @@ def _outlook(bench: Bench, candidate: CandidateSensor, rel_std: float) -> Outloo
     )  # fmt: skip
     determined = shown(expected, [n for e in model.effects if e.estimated_without_static_run for n in e.column_names])
     nominal = experiment.robot.nominal if states_masses(experiment.robot) else typical_links(experiment.robot)
-    link_std, prior_std = _with_prior(determined, Prior.nominal(nominal, rel_std).covariance)
+    link_std, prior_std = _with_prior(determined, Prior.warped(nominal, rel_std).covariance)
     terms = tuple(t for t in bench.terms if any(t.effect.acts_on(c) for c in model.channels.names))
     motions = [(s, _motion(model, s, bench)) for s in segments]
     plain = [plant_readings(experiment.robot, model.channels, states, links, terms) for _, states in motions]
