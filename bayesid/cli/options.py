@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import click
 
 from bayesid.errors import InputError
-from bayesid.estimators import Physical, estimator, load_bounds
 
 if TYPE_CHECKING:
     from bayesid.effects import EffectLibrary
@@ -146,6 +145,8 @@ def output_folder(out: Path | None, name: str, verb: str) -> Path:
 
 def bounded(method, bounds: Path | None, loaded):
     """The estimator with the bounds of a file."""
+    from bayesid.estimators import Physical, load_bounds
+
     if bounds is None:
         return method
     if not isinstance(method, Physical):
@@ -155,6 +156,8 @@ def bounded(method, bounds: Path | None, loaded):
 
 def all_bounded(names, bounds: Path, loaded) -> list:
     """Estimators by name, those that take bounds with the bounds of a file."""
+    from bayesid.estimators import Physical, estimator
+
     chosen = [estimator(name) for name in names]
     if not any(isinstance(method, Physical) for method in chosen):
         raise InputError("--bounds is given, but none of --methods takes any; add sdp to --methods")

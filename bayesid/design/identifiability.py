@@ -28,7 +28,7 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.readings import has_readings, make_channels
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot
-from bayesid.robot.typical import states_masses, typical_links
+from bayesid.robot.typical import assumed_links, states_masses
 from bayesid.simulation.trajectories import Trajectory
 
 
@@ -126,7 +126,7 @@ def report_of(plan: PlannedMotions, sensor_set: SensorSet, noise: ReadingNoise, 
     # Poses alone have base parameters of their own; what another motion would show is that of one that moves.
     channels = make_channels(experiment, sensor_set.channel)
     richest = richest_base(experiment.robot, channels, sensor_set)
-    links = sure_links(experiment.robot)
+    links = assumed_links(experiment.robot).ravel()
     spread = Prior.nominal(links, 2.0**0.5).covariance
     rel_std = experiment.inertia_rel_std
     prior = Prior.warped(links, rel_std).covariance if rel_std and states_masses(experiment.robot) else None
@@ -212,11 +212,6 @@ def with_differences(plan: PlannedMotions, reports: Sequence[SetReport]) -> tupl
             links.append(replace(link, joints=joints, sensor_sets=sets))
         out.append(replace(report, parameters=tuple(links)))
     return tuple(out)
-
-
-def sure_links(robot: Robot) -> np.ndarray:
-    """Nominal link parameters (P,), or about what links of these lengths weigh where the URDF states no masses."""
-    return (robot.nominal if states_masses(robot) else typical_links(robot)).ravel()
 
 
 def _offsets(experiment: Experiment) -> set[str]:

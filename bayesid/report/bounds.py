@@ -1,4 +1,4 @@
-"""The report of ``bounds``: turns `ControllerBounds` into what its template shows."""
+"""The report of ``bounds``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report of ``sample``: turns an `ExperimentPosterior` into what its template shows."""
+"""The report of ``sample``."""
 
 from __future__ import annotations
 

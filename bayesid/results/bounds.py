@@ -464,12 +464,8 @@ def joints(w: Workspace, inside: InsideJoints) -> ShownTable:
         known = not (np.isfinite(inside.coulomb[j]) or np.isfinite(inside.viscous[j]))
         friction = f"{number(share, 2)} × gravity" if np.isfinite(share) else number(inside.coulomb[j], 2)
         rows.append(
-            [name, f"{number(w.inertia[j, 0], 3)} … {number(w.inertia[j, 1], 3)}", share_of(w.inertia_error[j]),
+            [name, f"{number(w.inertia[j, 0], 3)} … {number(w.inertia[j, 1], 3)}",
+             percent(w.inertia_error[j], 2) if w.inertia_error[j] <= 1.0 else "over 100 %",
              number(gravity[j], 3), number(error[j], 2), rotor, "identified" if known else friction]
         )  # fmt: skip
     return ShownTable(head, rows, style="narrow")
-
-
-def share_of(error: float) -> str:
-    """A relative error as per cent, as far as it is one."""
-    return percent(error, 2) if error <= 1.0 else "over 100 %"

@@ -25,6 +25,7 @@ from bayesid.validation.predicted_readings import PredictedReadings, predict_rea
 from bayesid.validation.prediction import BAND, Prediction
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from pandas import DataFrame
 
 
@@ -167,9 +168,6 @@ class HasEntries:
         tables = {name: e.to_dataframe() for name, e in self.estimates.items()}
         return concat(tables, names=["method"]).reset_index(level="method").reset_index(drop=True)
 
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SCHEMA = 1
 #: Errors of at most so many motions stand in the overview.

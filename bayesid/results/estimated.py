@@ -16,6 +16,8 @@ from bayesid.estimators.parameters import HasParameters
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from bayesid.validation.prediction import Prediction
+
 
 class _WithEstimate(Protocol):
     @property
@@ -69,12 +71,6 @@ class HasEstimate(HasParameters):
             matplotlib's Axes to draw into: one, or two where the second shows how sure each is; default a figure of its own.
         """
         return figures_of(self)["intervals"](ax=ax)
-
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from bayesid.validation.prediction import Prediction
 
 
 class HasPredictions(Protocol):

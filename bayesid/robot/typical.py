@@ -40,3 +40,8 @@ def typical_links(robot: Robot) -> np.ndarray:
             pseudo += _DENSITY * volume * np.block([[second, middle[:, None]], [middle[None], np.ones((1, 1))]])
         out[k] = inertia.from_pseudo_inertia(pseudo)
     return out
+
+
+def assumed_links(robot: Robot) -> np.ndarray:
+    """Nominal parameters of every body (b, 10), or typical ones where the URDF states no masses."""
+    return robot.nominal if states_masses(robot) else typical_links(robot)

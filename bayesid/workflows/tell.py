@@ -10,7 +10,6 @@ from pathlib import Path
 from bayesid.arguments import argument, names, with_given
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.tell.choose import tell_effects
-from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.drawing import Figures, figures_of
@@ -86,7 +85,8 @@ def tell(
         recorded = any(m.kind == "trajectory" and has_readings(m.table, channel) for m in experiment.motions)
         if not recorded:  # for its noise alone
             experiment = simulate(experiment, [fourier_trajectory(experiment.robot, seed=seed)], effects=(), seed=seed)
-        data = _data(experiment, channel, names(motions) if recorded else None, seed)
+        terms, held = known_terms(experiment, channel, None)
+        data = prepare_data(experiment, channel, terms, names(motions) if recorded else None, seed, held, DEFAULT)
         clock("the motion that tells them apart")
         asked = replace(chosen, channel=channel)
         telling = tell_effects(data, names(effects) or (), recorded=recorded, options=asked, seed=seed)
@@ -97,12 +97,6 @@ def tell(
         )
     recordings = tuple(dict.fromkeys(s.motion for s in data.segments)) if recorded else ()
     return DistinguishingMotion(experiment.name, channel, recordings, telling, clock.stop())
-
-
-def _data(experiment: Experiment, channel: str, motions: Sequence[str] | None, seed: int) -> DiagnosisData:
-    """The recordings as a diagnosis looks at them."""
-    terms, held = known_terms(experiment, channel, None)
-    return prepare_data(experiment, channel, terms, motions, seed, held, DEFAULT)
 
 
 @figures_of.register

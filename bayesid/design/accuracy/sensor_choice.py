@@ -39,7 +39,7 @@ from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot, load_robot
-from bayesid.robot.typical import states_masses, typical_links
+from bayesid.robot.typical import assumed_links
 from bayesid.simulation.plant import plant_readings
 
 KINDS = {
@@ -295,7 +295,7 @@ def _outlook(bench: Bench, candidate: CandidateSensor, rel_std: float) -> Outloo
         model.base, tuple(names[k] for k in free), tuple(units[k] for k in free), factor, factor, model, tuple(segments)
     )  # fmt: skip
     determined = shown(expected, [n for e in model.effects if e.estimated_without_static_run for n in e.column_names])
-    nominal = experiment.robot.nominal if states_masses(experiment.robot) else typical_links(experiment.robot)
+    nominal = assumed_links(experiment.robot)
     link_std, prior_std = _with_prior(determined, Prior.warped(nominal, rel_std).covariance)
     terms = tuple(t for t in bench.terms if any(t.effect.acts_on(c) for c in model.channels.names))
     motions = [(s, _motion(model, s, bench)) for s in segments]

@@ -65,11 +65,6 @@ class SweptFactor:
     trials: tuple[Trial, ...]  # the others
 
 
-def has_formula(bench: Bench) -> bool:
-    """Whether the estimator is linear in the readings, so that covariances scale with noise and length."""
-    return isinstance(bench.method, LeastSquares)
-
-
 def all_factors(bench: Bench) -> tuple[SweptFactor, ...]:
     """Every factor that such an experiment has."""
     factors = [
@@ -85,7 +80,8 @@ def _if_complete(bench: Bench, advice: str) -> str:
 
 
 def _noise(bench: Bench) -> SweptFactor:
-    own, formula = own_setting(bench), has_formula(bench)
+    own = own_setting(bench)
+    formula = isinstance(bench.method, LeastSquares)  # linear in the readings: covariances scale with noise and length
     half = _if_complete(bench, "half the sensor noise")
     trials = tuple(
         Trial(f"× {k:g}", k, None if formula else replace(own, noise=k), (k, 1.0), half if k == 0.5 else "")
@@ -292,7 +288,7 @@ def sweep(bench: Bench, runs: int, seed: int, tell: Callable[[str], object]) -> 
     factors = all_factors(bench)
     own = own_setting(bench)
     settings: list[Setting] = [own]
-    formula = has_formula(bench)
+    formula = isinstance(bench.method, LeastSquares)
     if formula:
         settings.append(replace(own, noise=0.0))
     settings += [t.setting for f in factors for t in f.trials if t.setting is not None]

@@ -23,7 +23,7 @@ from bayesid.effects import Effect, MotionSegment, Term
 from bayesid.effects.exact import columns, readings
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
-from bayesid.robot.typical import states_masses, typical_links
+from bayesid.robot.typical import assumed_links
 
 #: Samples of a period; parts of a trace that count as nothing; shares up to which two traces count as different.
 _SAMPLES, _NOTHING, _SAME = 300, 1e-5, 1.0 - 1e-6
@@ -67,7 +67,7 @@ class Diagnosability:
 def diagnosability(experiment: Experiment, information: Information, series: FourierSeries, recorded: float) -> Diagnosability:
     """What a motion of so many recorded samples could show of every effect of the library that acts on these readings."""
     robot, channels = experiment.robot, information.channels
-    links = robot.nominal if states_masses(robot) else typical_links(robot)
+    links = assumed_links(robot)
     gravity = information.sensor_set.gravity
     step = series.period / _SAMPLES
     times = step * np.arange(_SAMPLES)

@@ -44,7 +44,7 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.readings import make_channels
 from bayesid.robot.robot import Robot
-from bayesid.robot.typical import states_masses, typical_links
+from bayesid.robot.typical import assumed_links
 
 CRITERIA = {
     "d": "D-optimal: smallest volume of the uncertainty ellipsoid",
@@ -256,7 +256,7 @@ class Information:
 
 def typical_sizes(robot: Robot) -> np.ndarray:
     """About how large each link parameter is (10 b,): mass, mass times length, mass times length squared of each body."""
-    links = robot.nominal if states_masses(robot) else typical_links(robot)
+    links = assumed_links(robot)
     mass = np.maximum(links[:, 0], _LEAST_MASS * links[:, 0].sum())
     turning = np.maximum(links[:, 4] + links[:, 6] + links[:, 9], 0.0)
     length = np.maximum(np.sqrt(0.5 * turning / mass), _LEAST_LENGTH * reach(robot))

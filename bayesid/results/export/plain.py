@@ -72,7 +72,9 @@ def plain_urdf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dyn
         if name not in robot.joint_names and kind != "fixed":
             _fix(joint, kind, locked.get(name, 0.0))
         elif name in robot.joint_names:
-            _move_limits(joint, robot, robot.joint_names.index(name))
+            k = robot.joint_names.index(name)
+            if kind == "revolute" and not np.isfinite([robot.lower[k], robot.upper[k]]).all():
+                joint.set("type", "continuous")  # without limits it turns without end: others would hold it at zeros
     return root
 
 
@@ -95,12 +97,6 @@ def _fix(joint: ET.Element, kind: str, position: float) -> None:
     for tag in ("axis", "limit", "dynamics", "calibration", "safety_controller"):
         for element in joint.findall(tag):
             joint.remove(element)
-
-
-def _move_limits(joint: ET.Element, robot: Robot, k: int) -> None:
-    """A joint without limits of its position is one that turns without end: others would hold it at zeros."""
-    if joint.get("type") == "revolute" and not np.isfinite([robot.lower[k], robot.upper[k]]).all():
-        joint.set("type", "continuous")
 
 
 def with_comments(root: ET.Element, constants: JointConstants) -> str:
