@@ -88,6 +88,22 @@ def test_known_filters_are_undone_first():
     assert model.from_zero and model.order == other.noise["trajectory"].order + 2
 
 
+@pytest.mark.parametrize("method", ["huber", "student"])
+def test_filters_of_a_recording_in_chunks_are_undone_across_them(method):
+    """Rows that can be read in parts anywhere are weighed without the filters, too."""
+    matrix, target, times = arrays(np.random.default_rng(8))
+    pole = 0.9
+    slow = [lfilter([1.0 - pole], [1.0, -pole], x, axis=0) for x in (matrix, touched(target))]
+    whole = Regression.from_arrays(*slow, times=times, low_pass=LowPass(l=-np.log(pole) / 0.05, d=1e5))
+    [block] = whole.blocks()
+    halves = [replace(block, rows=block.rows[a:b], times=block.times[a:b], start=a == 0) for a, b in ((0, 300), (300, 600))]
+    rows = replace(whole.rows, kept=None, make=lambda: halves, parts=[lambda h=h: [h] for h in halves])
+    parted = replace(whole, rows=rows)
+    one, other = fit(whole, method), fit(parted, method)
+    np.testing.assert_allclose(other.values, one.values, rtol=1e-8)
+    np.testing.assert_allclose(other.std, one.std, rtol=1e-8)
+
+
 @pytest.mark.parametrize("method", ROBUST, ids=lambda m: m.name)
 def test_touches_are_rejected_as_windows_with_their_quiet_samples(method):
     matrix, target, times = arrays(np.random.default_rng(4))

@@ -313,9 +313,7 @@ def _without_filters(regression: Regression) -> Regression:
             yield replace(block, rows=rows, times=block.times[len(block.times) - len(rows) :])
 
     rows = regression.rows
-    plain = RowCache(
-        lambda: undone(rows.blocks()), rows.count, rows.width, make_pilot=lambda: undone(rows.pilot()), parts=rows.parts
-    )
+    plain = RowCache(lambda: undone(rows.blocks()), rows.count, rows.width, make_pilot=lambda: undone(rows.pilot()))
     std = regression.noise_std  # of what went into the filters
     if std is not None:
         std = np.sqrt(np.diag(NoiseModel.stated(std, poles).innovation))
