@@ -98,6 +98,7 @@ def judge(pairs: list[tuple[dict, dict]]) -> dict:
             quiet = said["verdict"] == "nothing_missing" and "nothing_missing" in answer["acceptable_verdicts"]
             hits = [c for c in claims if within(truth, alternatives, c)]
             exact = len(claims) == 1 and claims[0]["name"] == truth["name"] and said["verdict"] == "named"
+            no_other = answer["acceptable_verdicts"] == ["named"] and not alternatives
             group = "three times the floor or more" if level in ("clear", "moderate") else "smaller"
             # A rotor in the wrench alone is the same as a change of two links' inertia.
             groups = [group] if truth["name"] != "rotor_momentum" or answer["channel"] != "wrench" else []
@@ -108,6 +109,8 @@ def judge(pairs: list[tuple[dict, dict]]) -> dict:
             for group in groups:
                 counts.setdefault(f"single, {group}: in the set", []).append(bool(hits) or quiet)
                 counts.setdefault(f"single, {group}: outright", []).append(exact)
+                if no_other:
+                    counts.setdefault(f"single, {group}: outright, where no other answer is right", []).append(exact)
                 if hits:
                     counts.setdefault(f"single, {group}: right place", []).append(there(truth, alternatives, hits[0]))
             if exact and claims[0]["where"] == truth["where"]:
