@@ -86,27 +86,14 @@ _Trials = dict[Effect, tuple[tuple[tuple[float, ...], ...], np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """An effect with the values at which an exact fit should start.
+    """An effect with the values at which an exact fit should start."""
 
-    Attributes
-    ----------
-    term
-        The effect and its values.
-    gain
-        What it explains at most, in units of chi2.
-    parameters
-        How many amplitudes that took.
-    minimum
-        Size of its first parameter that would stand out by five standard deviations; None where it has no amplitude.
-    others
-        Other values to start from.
-    """
-
-    term: Term
-    gain: float
-    parameters: int
+    term: Term  # the effect and its values
+    gain: float  # what it explains at most, in units of chi2
+    parameters: int  # how many amplitudes that took
+    #: Size of its first parameter that would stand out by five standard deviations; None where it has no amplitude.
     minimum: float | None = None
-    others: tuple[Term, ...] = ()
+    others: tuple[Term, ...] = ()  # other values to start from
 
     @property
     def name(self) -> str:
@@ -125,30 +112,14 @@ class _Block:
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """Every effect that could be there, as columns at the user's model, made once.
+    """Every effect that could be there, as columns at the user's model, made once."""
 
-    Attributes
-    ----------
-    projector
-        What is projected out.
-    base
-        The user's model.
-    around
-        What effects may want to know of the recordings.
-    effects
-        Those effects, each at its place.
-    blocks
-        Columns by effect and shape.
-    ripples
-        Sines and cosines of joint positions, for effects that are one.
-    """
-
-    projector: NuisanceProjector
-    base: Fit
-    around: Surroundings
-    effects: tuple[Effect, ...]
-    blocks: tuple[_Block, ...] = ()
-    ripples: tuple[RippleScan, ...] = ()
+    projector: NuisanceProjector  # what is projected out
+    base: Fit  # the user's model
+    around: Surroundings  # what effects may want to know of the recordings
+    effects: tuple[Effect, ...]  # those effects, each at its place
+    blocks: tuple[_Block, ...] = ()  # columns by effect and shape
+    ripples: tuple[RippleScan, ...] = ()  # sines and cosines of joint positions, for effects that are one
 
     def propose(self, fit: Fit) -> list[Proposal]:
         """Proposals beside the effects of a fit, best gain first; one for each effect and place."""

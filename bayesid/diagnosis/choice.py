@@ -25,28 +25,15 @@ LEAST_GAP = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Effects chosen among those that may be, by index: the best attempt's first, then the library's.
+    """Effects chosen among those that may be, by index: the best attempt's first, then the library's."""
 
-    Attributes
-    ----------
-    sums, effects
-        Of all.
-    users
-        Those of the user's model.
-    floor
-        Mean square of the noise.
-    settings
-        The thresholds.
-    seed
-        Of the bootstrap.
-    """
-
+    #: Sums with all effects that may be, and these effects.
     sums: HeldOutSums
     effects: tuple[Effect, ...]
-    users: tuple[int, ...]
-    floor: float
-    settings: Settings
-    seed: int
+    users: tuple[int, ...]  # those of the user's model
+    floor: float  # mean square of the noise
+    settings: Settings  # the thresholds
+    seed: int  # of the bootstrap
 
     def squares(self, kept: Sequence[int]) -> np.ndarray:
         """Squared errors on held-out blocks."""

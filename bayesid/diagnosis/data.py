@@ -23,15 +23,9 @@ WHITE = "white noise above the band"
 
 @dataclass(frozen=True)
 class Episode(Term):
-    """An effect that happened once, in one recording.
+    """An effect that happened once, in one recording."""
 
-    Attributes
-    ----------
-    motion
-        In which; nothing is known of others.
-    """
-
-    motion: str = ""
+    motion: str = ""  # in which; nothing is known of others
 
 
 def active_terms(segment: Segment, terms: Sequence[Term]) -> tuple[Term, ...]:
@@ -45,49 +39,26 @@ def active_terms(segment: Segment, terms: Sequence[Term]) -> tuple[Term, ...]:
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisData:
-    """What a diagnosis looks at.
+    """What a diagnosis looks at."""
 
-    Attributes
-    ----------
-    experiment, channel, channels
-        The recordings and what of them is compared.
-    segments
-        Of the identification motions, with their noise.
-    unseen
-        Of the validation motions, with their noise.
-    prior
-        Of the links; None where they are exact.
-    terms
-        Effects of the user's model at their starting values.
-    floor_known
-        Whether the noise was measured. Where readings were filtered before they were recorded it cannot be, and what the
-        richest model leaves stands in for it.
-    floor_source
-        Where the noise of moving readings comes from: ``white noise above the band``, ``repeats``, ``parked``, ``stated``
-        or ``richest model``.
-    spectrum
-        The noise of moving readings where it was measured by frequency, on repeats or at rest.
-    held
-        Effects of the user's model, ``name@where``, whose values are kept.
-    skipped
-        Validation motions that cannot be compared.
-    settings
-        The thresholds.
-    """
-
+    #: The recordings and what of them is compared.
     experiment: Experiment
     channel: str
     channels: Channels
-    segments: tuple[Segment, ...]
-    unseen: tuple[Segment, ...]
-    prior: Prior | None
-    terms: tuple[Term, ...]
+    segments: tuple[Segment, ...]  # of the identification motions, with their noise
+    unseen: tuple[Segment, ...]  # of the validation motions, with their noise
+    prior: Prior | None  # of the links; None where they are exact
+    terms: tuple[Term, ...]  # effects of the user's model at their starting values
+    #: Whether the noise was measured. Where readings were filtered before they were recorded it cannot be, and what the richest
+    #: model leaves stands in for it.
     floor_known: bool = True
+    #: Where the noise of moving readings comes from: ``white noise above the band``, ``repeats``, ``parked``, ``stated`` or
+    #: ``richest model``.
     floor_source: str = WHITE
-    spectrum: Spectrum | None = None
-    held: frozenset[str] = frozenset()
-    skipped: tuple[str, ...] = ()
-    settings: Settings = DEFAULT
+    spectrum: Spectrum | None = None  # the noise of moving readings where it was measured by frequency, on repeats or at rest
+    held: frozenset[str] = frozenset()  # effects of the user's model, ``name@where``, whose values are kept
+    skipped: tuple[str, ...] = ()  # validation motions that cannot be compared
+    settings: Settings = DEFAULT  # the thresholds
 
     @property
     def robot(self) -> Robot:

@@ -103,23 +103,15 @@ def encoder_count(positions: np.ndarray, settings: Settings) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Encoders:
-    """What their errors do to predictions.
+    """What their errors do to predictions."""
 
-    Attributes
-    ----------
-    predict, resmooth
-        Readings predicted for a segment (M, c); the segment with other encoder readings (N, n).
-    resolution, position_std
-        One encoder count and random noise on top, by joint (n,) [rad or m].
-    seed
-        Of the roundings.
-    """
-
+    #: Readings predicted for a segment (M, c); the segment with other encoder readings (N, n).
     predict: Callable[[Segment], np.ndarray]
     resmooth: Callable[[Segment, np.ndarray], Segment]
+    #: One encoder count and random noise on top, by joint (n,) [rad or m].
     resolution: np.ndarray
     position_std: np.ndarray
-    seed: int
+    seed: int  # of the roundings
 
     def roundings(self, segments: Sequence[Segment], wanted: set[int]) -> dict[int, list[Segment]]:
         """Segments as other roundings would have shown them; an encoder's zero is the same in all."""

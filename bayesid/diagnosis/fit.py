@@ -43,18 +43,10 @@ _HIDDEN = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """Whitened derivatives of the readings with respect to a term's parameters.
+    """Whitened derivatives of the readings with respect to a term's parameters."""
 
-    Attributes
-    ----------
-    values
-        Of the parameters (k,), where they were taken.
-    rows
-        (rows, k).
-    """
-
-    values: np.ndarray
-    rows: np.ndarray
+    values: np.ndarray  # of the parameters (k,), where they were taken
+    rows: np.ndarray  # (rows, k)
 
     def changed_by(self, term: Term) -> float:
         """Sum of squares of the change of whitened readings from those values to a term's."""
@@ -63,51 +55,21 @@ class Derivatives:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A model fitted to the identification motions.
+    """A model fitted to the identification motions."""
 
-    Attributes
-    ----------
-    projector
-        What it was fitted with.
-    terms
-        Effects with their values.
-    links
-        (10 b,).
-    offset
-        Constant offset (c,), zero where none is fitted.
-    chi2
-        Sum of squares of whitened rows and of the links against their prior.
-    parameters
-        How many of the effects' parameters the data determine.
-    score
-        See the module.
-    covariance
-        Of the effects' free parameters in the order of ``terms`` (k, k), the links' uncertainty included.
-    determined
-        Whether the data tell each of them from the others (k,).
-    free
-        (term, parameter) of each of them.
-    coordinates
-        The links and the offset in the coordinates of `NuisanceProjector` (size,).
-    residual
-        Whitened rows (rows,).
-    derivatives
-        Of the readings, by effect that is fitted.
-    """
-
-    projector: NuisanceProjector
-    terms: tuple[Term, ...]
-    links: np.ndarray
-    offset: np.ndarray
-    chi2: float
-    parameters: int
-    score: float
-    covariance: np.ndarray
-    determined: np.ndarray
-    free: tuple[tuple[int, int], ...]
-    coordinates: np.ndarray
-    residual: np.ndarray
-    derivatives: Mapping[Effect, Derivatives]
+    projector: NuisanceProjector  # what it was fitted with
+    terms: tuple[Term, ...]  # effects with their values
+    links: np.ndarray  # (10 b,)
+    offset: np.ndarray  # constant offset (c,), zero where none is fitted
+    chi2: float  # sum of squares of whitened rows and of the links against their prior
+    parameters: int  # how many of the effects' parameters the data determine
+    score: float  # see the module
+    covariance: np.ndarray  # of the effects' free parameters in the order of ``terms`` (k, k), the links' uncertainty included
+    determined: np.ndarray  # whether the data tell each of them from the others (k,)
+    free: tuple[tuple[int, int], ...]  # (term, parameter) of each of them
+    coordinates: np.ndarray  # the links and the offset in the coordinates of `NuisanceProjector` (size,)
+    residual: np.ndarray  # whitened rows (rows,)
+    derivatives: Mapping[Effect, Derivatives]  # of the readings, by effect that is fitted
 
     def std(self, index: int, dispersion: float) -> np.ndarray:
         """Standard deviations of one term's free parameters; infinite where the data do not determine them.
@@ -126,46 +88,22 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """A fit under way.
+    """A fit under way."""
 
-    Attributes
-    ----------
-    projector
-        The columns that are always in.
-    terms
-        Effects with their values so far.
-    free
-        (term, parameter) of those that are fitted.
-    coordinates
-        Links and offset (size,).
-    rows, prior
-        Whitened residual (rows,) and that of the prior (size,).
-    chi2
-        Sum of squares of both.
-    damping
-        Of the next step.
-    steps
-        Taken so far.
-    settled
-        Whether no step is left to take.
-    derivatives
-        Of the readings, by effect that is fitted; some may be those of values close by.
-    exact
-        Whether all of them are those of the values and links as they are.
-    """
-
-    projector: NuisanceProjector
-    terms: tuple[Term, ...]
-    free: tuple[tuple[int, int], ...]
-    coordinates: np.ndarray
+    projector: NuisanceProjector  # the columns that are always in
+    terms: tuple[Term, ...]  # effects with their values so far
+    free: tuple[tuple[int, int], ...]  # (term, parameter) of those that are fitted
+    coordinates: np.ndarray  # links and offset (size,)
+    #: Whitened residual (rows,) and that of the prior (size,).
     rows: np.ndarray
     prior: np.ndarray
-    chi2: float
-    damping: float = _DAMPING
-    steps: int = 0
-    settled: bool = False
+    chi2: float  # sum of squares of both
+    damping: float = _DAMPING  # of the next step
+    steps: int = 0  # taken so far
+    settled: bool = False  # whether no step is left to take
+    #: Of the readings, by effect that is fitted; some may be those of values close by.
     derivatives: Mapping[Effect, Derivatives] = field(default_factory=dict)
-    exact: bool = False
+    exact: bool = False  # whether all of them are those of the values and links as they are
 
 
 def begin(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None) -> Iterate:

@@ -27,24 +27,12 @@ _BEHIND = 0.2
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What one phase of the search hands on to the next.
+    """What one phase of the search hands on to the next."""
 
-    Attributes
-    ----------
-    models
-        The noise that models make, as far as it is known by now.
-    base
-        The user's model fitted alone.
-    best
-        The best model so far.
-    dispersion
-        Dispersion factor: mean square of what no model of the library explains, at least 1.
-    """
-
-    models: NoiseModels
-    base: Fit
-    best: Fit
-    dispersion: float
+    models: NoiseModels  # the noise that models make, as far as it is known by now
+    base: Fit  # the user's model fitted alone
+    best: Fit  # the best model so far
+    dispersion: float  # dispersion factor: mean square of what no model of the library explains, at least 1
 
     @property
     def known(self) -> int:

@@ -41,41 +41,19 @@ class HeldOutSums:
     """Inner products of all columns, by block of time: links, effects' parameters, effects' traces, residual.
 
     An effect's trace is what the best attempt's prediction loses without it. Effects that may come in have no trace.
-
-    Attributes
-    ----------
-    blocks
-        (b, p, p), every channel in units of what the best attempt leaves of it: for fits and their evidence.
-    shown
-        (b, p, p), every channel in units of what the user's model leaves of it: for shares, in which all channels count alike.
-    groups
-        Which blocks are left out together (b,): a motion, or a stretch of the only one fitted.
-    counts
-        Rows of each block (b,).
-    unseen
-        Whether a block is of a validation motion (b,).
-    links
-        Number of the links' columns.
-    owners
-        Effect of each column of parameters (k,).
-    traces
-        How many effects, the first ones, have a trace.
-    start
-        Coordinates of the links at the best attempt (links,).
-    correlation
-        How many rows count as one.
     """
 
-    blocks: np.ndarray
+    blocks: np.ndarray  # (b, p, p), every channel in units of what the best attempt leaves of it: for fits and their evidence
+    #: (b, p, p), every channel in units of what the user's model leaves of it: for shares, in which all channels count alike.
     shown: np.ndarray
-    groups: np.ndarray
-    counts: np.ndarray
-    unseen: np.ndarray
-    links: int
-    owners: np.ndarray
-    traces: int
-    start: np.ndarray
-    correlation: float = 1.0
+    groups: np.ndarray  # which blocks are left out together (b,): a motion, or a stretch of the only one fitted
+    counts: np.ndarray  # rows of each block (b,)
+    unseen: np.ndarray  # whether a block is of a validation motion (b,)
+    links: int  # number of the links' columns
+    owners: np.ndarray  # effect of each column of parameters (k,)
+    traces: int  # how many effects, the first ones, have a trace
+    start: np.ndarray  # coordinates of the links at the best attempt (links,)
+    correlation: float = 1.0  # how many rows count as one
 
     @cached_property
     def whole(self) -> np.ndarray:

@@ -28,32 +28,17 @@ _SAMPLES = 5
 
 @dataclass(frozen=True)
 class Event:
-    """A moment at which readings are loud above the band.
+    """A moment at which readings are loud above the band."""
 
-    Attributes
-    ----------
-    channel
-        In which most.
-    start, end, peak
-        When, and when most [s].
-    band
-        What was looked at [Hz].
-    ratio
-        Root mean square over the usual one.
-    p_value
-        Probability of as much by chance in one of all places looked at.
-    tap
-        Whether it is over within `Settings.moment` and its band is broad.
-    """
-
-    channel: int
+    channel: int  # in which most
+    #: When, and when most [s].
     start: float
     end: float
     peak: float
-    band: tuple[float, float]
-    ratio: float
-    p_value: float
-    tap: bool
+    band: tuple[float, float]  # what was looked at [Hz]
+    ratio: float  # root mean square over the usual one
+    p_value: float  # probability of as much by chance in one of all places looked at
+    tap: bool  # whether it is over within `Settings.moment` and its band is broad
 
 
 def short_events(segments: Sequence[Segment], level: float) -> tuple[tuple[Event, ...], ...]:

@@ -40,21 +40,11 @@ _ACTS = 1e-2
 
 @dataclass(frozen=True)
 class ChannelGroup:
-    """Effects that act in the same channels.
+    """Effects that act in the same channels."""
 
-    Attributes
-    ----------
-    effects
-        ``name@place``.
-    channels
-        In which they act.
-    closed
-        Share of the gap in these channels that all effects found close.
-    """
-
-    effects: tuple[str, ...]
-    channels: tuple[str, ...]
-    closed: float
+    effects: tuple[str, ...]  # ``name@place``
+    channels: tuple[str, ...]  # in which they act
+    closed: float  # share of the gap in these channels that all effects found close
 
 
 def channel_groups(s: Search) -> tuple[ChannelGroup, ...]:
@@ -118,48 +108,28 @@ _Candidate = tuple[Term, Linearisation]
 
 @dataclass(frozen=True)
 class Share:
-    """What an effect does on recordings held out in turn.
+    """What an effect does on recordings held out in turn."""
 
-    Attributes
-    ----------
-    share, share_low
-        Share of the gap that opens again without it while all others stay, and the lower end of its one-sided 95 % interval.
-    """
-
+    #: Share of the gap that opens again without it while all others stay, and the lower end of its one-sided 95 % interval.
     share: float
     share_low: float
 
 
 @dataclass(frozen=True, eq=False)
 class InPart:
-    """Effects that are proven, and what they leave.
+    """Effects that are proven, and what they leave."""
 
-    Attributes
-    ----------
-    search
-        The search with the proven effects as those found, most first, and their exact fit as the best one. Evidence and standard
-        deviations are those beside what stays unexplained.
-    shares
-        Of each effect.
-    courses
-        Mean squares on recordings held out in turn: of the user's model, with one effect more each, and of the noise, every
-        channel in units of what the user's model leaves of it on the fitted motions; zero for a noise that is not known.
-    stretches
-        How many parts were held out in turn.
-    correlation
-        How many rows count as one.
-    near
-        Effects that are named, their rivals, and those that would add anything to them, ``name@place``.
-    groups
-        What they close in the channels that they act in, where they close too little of the whole gap.
-    """
-
+    #: The search with the proven effects as those found, most first, and their exact fit as the best one. Evidence and standard
+    #: deviations are those beside what stays unexplained.
     search: Search
-    shares: tuple[Share, ...]
+    shares: tuple[Share, ...]  # of each effect
+    #: Mean squares on recordings held out in turn: of the user's model, with one effect more each, and of the noise, every
+    #: channel in units of what the user's model leaves of it on the fitted motions; zero for a noise that is not known.
     courses: tuple[float, ...]
-    stretches: int
-    correlation: float
-    near: frozenset[str]
+    stretches: int  # how many parts were held out in turn
+    correlation: float  # how many rows count as one
+    near: frozenset[str]  # effects that are named, their rivals, and those that would add anything to them, ``name@place``
+    #: What they close in the channels that they act in, where they close too little of the whole gap.
     groups: tuple[ChannelGroup, ...] = ()
 
     @property

@@ -28,45 +28,24 @@ LISTED = 8
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A channel and time in which the residual is larger than noise.
+    """A channel and time in which the residual is larger than noise."""
 
-    Attributes
-    ----------
-    channel, motion
-        Where.
-    start, end
-        When [s].
-    band_hz
-        The band with the largest excess there.
-    joint
-        The joint whose motion goes best with it, or None.
-    ratio
-        Root mean square over the noise's.
-    p_value
-        Probability of as much by chance in one of all places looked at.
-    still
-        Whether it is in the motion's run at rest.
-    event, peak
-        Whether it is a short event above the compared band, in the readings themselves, and when that is loudest [s].
-    tap
-        Whether that looks like a tap: a broad band, over within 0.1 s.
-    unseen
-        Whether the motion took no part in the fit.
-    """
-
+    #: Where.
     channel: str
     motion: str
+    #: When [s].
     start: float
     end: float
-    band_hz: tuple[float, float]
-    joint: str | None
-    ratio: float
-    p_value: float
-    still: bool = False
+    band_hz: tuple[float, float]  # the band with the largest excess there
+    joint: str | None  # the joint whose motion goes best with it, or None
+    ratio: float  # root mean square over the noise's
+    p_value: float  # probability of as much by chance in one of all places looked at
+    still: bool = False  # whether it is in the motion's run at rest
+    #: Whether it is a short event above the compared band, in the readings themselves, and when that is loudest [s].
     event: bool = False
     peak: float = float("nan")
-    tap: bool = False
-    unseen: bool = False
+    tap: bool = False  # whether that looks like a tap: a broad band, over within 0.1 s
+    unseen: bool = False  # whether the motion took no part in the fit
 
     @property
     def looks_like(self) -> str | None:

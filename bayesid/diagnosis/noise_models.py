@@ -45,19 +45,11 @@ class NoiseModels:
     """The noise that models make, and all effects' columns under it: one of each for every set of soft effects.
 
     Each is made by the first model that needs it, and stays; methods return what was asked for and the noise models with it.
-
-    Attributes
-    ----------
-    seed
-        Of the encoders' repeated rounding.
-    known
-        Effects of the user's model.
-    projectors, libraries
-        By softness.
     """
 
-    seed: int
-    known: tuple[Term, ...]
+    seed: int  # of the encoders' repeated rounding
+    known: tuple[Term, ...]  # effects of the user's model
+    #: By softness.
     projectors: Mapping[Softness, NuisanceProjector]
     libraries: Mapping[Softness, Library]
 

@@ -31,34 +31,17 @@ _LEAST = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Samples of nothing but noise.
+    """Samples of nothing but noise."""
 
-    Attributes
-    ----------
-    times, values
-        (N,) [s] and (N, c), without trend.
-    weight
-        (N, c): falls to zero at both ends, and where a joint may stick.
-    gain
-        Power of the values in units of one reading's noise: 2 for differences, 1 at rest.
-    lowest
-        Frequency from which on it can be seen [Hz].
-    share
-        Degrees of freedom for each coefficient.
-    known
-        Simulated values (k, N, c) of what does not count as the sensor's noise.
-    settings
-        The thresholds.
-    """
-
+    #: (N,) [s] and (N, c), without trend.
     times: np.ndarray
     values: np.ndarray
-    weight: np.ndarray
-    gain: float
-    lowest: float
-    share: float
-    known: np.ndarray
-    settings: Settings
+    weight: np.ndarray  # (N, c): falls to zero at both ends, and where a joint may stick
+    gain: float  # power of the values in units of one reading's noise: 2 for differences, 1 at rest
+    lowest: float  # frequency from which on it can be seen [Hz]
+    share: float  # degrees of freedom for each coefficient
+    known: np.ndarray  # simulated values (k, N, c) of what does not count as the sensor's noise
+    settings: Settings  # the thresholds
 
     @property
     def frequencies(self) -> np.ndarray:
@@ -75,32 +58,15 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Noise of the readings by frequency.
+    """Noise of the readings by frequency."""
 
-    Attributes
-    ----------
-    frequencies
-        Centres of bands (B,) [Hz].
-    std
-        Standard deviation of white noise that is as strong there (B, c).
-    correlation
-        Across channels (B, c, c).
-    freedom
-        Degrees of freedom of each band (B,).
-    lowest
-        Frequency from which on it was measured [Hz]; below, the lowest band's is taken.
-    source
-        ``repeats`` or ``parked``.
-    own
-        Of motions that repeat themselves, by name: how far readings repeat may differ from motion to motion.
-    """
-
-    frequencies: np.ndarray
-    std: np.ndarray
-    correlation: np.ndarray
-    freedom: np.ndarray
-    lowest: float
-    source: str = ""
+    frequencies: np.ndarray  # centres of bands (B,) [Hz]
+    std: np.ndarray  # standard deviation of white noise that is as strong there (B, c)
+    correlation: np.ndarray  # across channels (B, c, c)
+    freedom: np.ndarray  # degrees of freedom of each band (B,)
+    lowest: float  # frequency from which on it was measured [Hz]; below, the lowest band's is taken
+    source: str = ""  # ``repeats`` or ``parked``
+    #: Of motions that repeat themselves, by name: how far readings repeat may differ from motion to motion.
     own: Mapping[str, Spectrum] = field(default_factory=dict)
 
     def of(self, motion: str) -> Spectrum:

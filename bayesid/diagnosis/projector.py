@@ -23,34 +23,17 @@ UNKNOWN_OFFSET = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class NuisanceProjector:
-    """Whitened columns of the links and the offset over their prior, reduced once.
+    """Whitened columns of the links and the offset over their prior, reduced once."""
 
-    Attributes
-    ----------
-    data
-        What is fitted.
-    root
-        ``links = nominal + root @ u`` with u ~ N(0, 1) (10 b, m).
-    offset
-        Whether a constant offset is among the columns, behind the links'.
-    q, r
-        Factors of ``[A; I]`` (rows + m + 6, m + 6).
-    rows
-        Number of rows that are data: those of channels that say anything.
-    volume
-        Log determinant of the noise of all rows.
-    rigid
-        Whether the links' columns are those of rigid bodies, at whatever links.
-    """
-
-    data: DiagnosisData
-    root: np.ndarray
-    offset: bool
+    data: DiagnosisData  # what is fitted
+    root: np.ndarray  # ``links = nominal + root @ u`` with u ~ N(0, 1) (10 b, m)
+    offset: bool  # whether a constant offset is among the columns, behind the links'
+    #: Factors of ``[A; I]`` (rows + m + 6, m + 6).
     q: np.ndarray
     r: np.ndarray
-    rows: int
-    volume: float
-    rigid: bool
+    rows: int  # number of rows that are data: those of channels that say anything
+    volume: float  # log determinant of the noise of all rows
+    rigid: bool  # whether the links' columns are those of rigid bodies, at whatever links
 
     @property
     def size(self) -> int:

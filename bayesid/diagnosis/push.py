@@ -48,25 +48,15 @@ _STEPS, _ROUNDS = 4, 3
 
 @dataclass(frozen=True)
 class Push(Episode):
-    """A contact with the course of its force; its values hold the mean force.
+    """A contact with the course of its force; its values hold the mean force."""
 
-    Attributes
-    ----------
-    times
-        Moments of the course (m,) [s].
-    force, force_std
-        In base axes at each (m, 3), and its standard deviations [N].
-    std
-        Standard deviations of the values (8,).
-    evidence
-        Log evidence that it adds.
-    """
-
-    times: np.ndarray = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
+    times: np.ndarray = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)  # moments of the course (m,) [s]
+    #: In base axes at each (m, 3), and its standard deviations [N].
     force: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)), compare=False, repr=False)
     force_std: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)), compare=False, repr=False)
+    #: Standard deviations of the values (8,).
     std: np.ndarray = field(default_factory=lambda: np.zeros(8), compare=False, repr=False)
-    evidence: float = field(default=0.0, compare=False)
+    evidence: float = field(default=0.0, compare=False)  # log evidence that it adds
 
     def to_dict(self) -> dict:
         """The entry ``course`` of an effect in ``diagnosis.json``."""
@@ -80,27 +70,18 @@ class Push(Episode):
 
 @dataclass(frozen=True, eq=False)
 class _Moments:
-    """Residuals of moving recordings as courses in time, with the columns of what may explain them.
+    """Residuals of moving recordings as courses in time, with the columns of what may explain them."""
 
-    Attributes
-    ----------
-    data, fit
-        What is compared, and the model.
-    segments, edges
-        The recordings, those that were fitted first, and where the moments of each begin and end (s + 1,).
-    residual, columns
-        (N, c) in the readings' units, and (N, c, p).
-    prior
-        Precision of each column's coefficient (p,).
-    """
-
+    #: What is compared, and the model.
     data: DiagnosisData
     fit: Fit
+    #: The recordings, those that were fitted first, and where the moments of each begin and end (s + 1,).
     segments: tuple[Segment, ...]
     edges: np.ndarray
+    #: (N, c) in the readings' units, and (N, c, p).
     residual: np.ndarray
     columns: np.ndarray
-    prior: np.ndarray
+    prior: np.ndarray  # precision of each column's coefficient (p,)
 
     @property
     def rows(self) -> int:
@@ -142,18 +123,12 @@ class _Moments:
 
 @dataclass(frozen=True, eq=False)
 class _Scaled:
-    """Columns and residual with every channel in units of what is left of it outside a window.
+    """Columns and residual with every channel in units of what is left of it outside a window."""
 
-    Attributes
-    ----------
-    rows, total
-        (N, c, p + 1), and their inner products with the prior's (p + 1, p + 1).
-    scale, edges
-        (c,), and of the recordings (s + 1,).
-    """
-
+    #: (N, c, p + 1), and their inner products with the prior's (p + 1, p + 1).
     rows: np.ndarray
     total: np.ndarray
+    #: (c,), and of the recordings (s + 1,).
     scale: np.ndarray
     edges: np.ndarray
 
@@ -169,30 +144,19 @@ class _Scaled:
 
 @dataclass(frozen=True, eq=False)
 class _Window:
-    """A push fitted in one window.
+    """A push fitted in one window."""
 
-    Attributes
-    ----------
-    coefficients, point
-        Of the columns (p,), and the point pushed (3,) [m].
-    force, inverse
-        (m, 3) [N], and its covariance where all else is known (m, 3, 3), in units of the scales.
-    slopes
-        Changes of the force with coefficients and point (m, 3, p + 3).
-    cost, checks
-        Twice a negative log evidence; the squared checks inside, in units of the scales.
-    covariance
-        Of coefficients and point (p + 3, p + 3), in units of the scales.
-    """
-
+    #: Of the columns (p,), and the point pushed (3,) [m].
     coefficients: np.ndarray
     point: np.ndarray
+    #: (m, 3) [N], and its covariance where all else is known (m, 3, 3), in units of the scales.
     force: np.ndarray
     inverse: np.ndarray
-    slopes: np.ndarray
+    slopes: np.ndarray  # changes of the force with coefficients and point (m, 3, p + 3)
+    #: Twice a negative log evidence; the squared checks inside, in units of the scales.
     cost: float
     checks: float
-    covariance: np.ndarray
+    covariance: np.ndarray  # of coefficients and point (p + 3, p + 3), in units of the scales
 
 
 def find_push(user: Fit, best: Fit | None = None) -> Push | None:
@@ -280,18 +244,11 @@ def without_push(data: DiagnosisData, push: Push, seed: int) -> DiagnosisData:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """Readings of a unit force on a link in one recording.
+    """Readings of a unit force on a link in one recording."""
 
-    Attributes
-    ----------
-    effect
-        Which link.
-    at_origin, by_point
-        Readings of a force in base axes at the link's origin (K, c, 3), and what a metre along each axis of the link adds
-        (K, 3, c, 3).
-    """
-
-    effect: Effect
+    effect: Effect  # which link
+    #: Readings of a force in base axes at the link's origin (K, c, 3), and what a metre along each axis of the link adds (K, 3,
+    #: c, 3).
     at_origin: np.ndarray
     by_point: np.ndarray
 

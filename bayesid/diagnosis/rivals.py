@@ -25,39 +25,20 @@ _CERTAIN = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """An effect that the data demand.
+    """An effect that the data demand."""
 
-    Attributes
-    ----------
-    term
-        The effect with its values.
-    gain
-        Log evidence lost without it, divided by the dispersion factor.
-    std
-        Standard deviations of its values, the links' uncertainty included.
-    rivals
-        Other effects that explain it nearly as well, with the log evidence they lack.
-    """
-
-    term: Term
-    gain: float
-    std: np.ndarray
-    rivals: tuple[tuple[Term, float], ...] = ()
+    term: Term  # the effect with its values
+    gain: float  # log evidence lost without it, divided by the dispersion factor
+    std: np.ndarray  # standard deviations of its values, the links' uncertainty included
+    rivals: tuple[tuple[Term, float], ...] = ()  # other effects that explain it nearly as well, with the log evidence they lack
 
 
 @dataclass(frozen=True, eq=False)
 class Pruned:
-    """A model without superfluous effects.
+    """A model without superfluous effects."""
 
-    Attributes
-    ----------
-    state
-        With that model as the best.
-    without
-        The model without each of its effects, by index, as far as that was fitted.
-    """
-
-    state: State
+    state: State  # with that model as the best
+    #: The model without each of its effects, by index, as far as that was fitted.
     without: Mapping[int, Fit] = field(default_factory=dict)
 
 

@@ -26,34 +26,18 @@ from bayesid.effects import Term
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What the search found.
+    """What the search found."""
 
-    Attributes
-    ----------
-    projector, base
-        What is always in, and the user's model fitted alone.
-    best
-        The model with all effects found.
-    found
-        Those effects.
-    dispersion
-        Mean square of what no model of the library explains, at least 1; evidence and covariances are relative to it.
-    proposals
-        The first round's, for the report.
-    library
-        Columns of all effects at the user's model, for the report.
-    dropped
-        Effects that the data demanded beside those found, for so small a share that those found may be a little inexact
-        instead.
-    """
-
+    #: What is always in, and the user's model fitted alone.
     projector: NuisanceProjector
     base: Fit
-    best: Fit
-    found: tuple[Found, ...]
+    best: Fit  # the model with all effects found
+    found: tuple[Found, ...]  # those effects
+    #: Mean square of what no model of the library explains, at least 1; evidence and covariances are relative to it.
     dispersion: float
-    proposals: tuple[Proposal, ...]
-    library: Library | None = None
+    proposals: tuple[Proposal, ...]  # the first round's, for the report
+    library: Library | None = None  # columns of all effects at the user's model, for the report
+    #: Effects that the data demanded beside those found, for so small a share that those found may be a little inexact instead.
     dropped: tuple[Term, ...] = ()
 
 

@@ -18,34 +18,17 @@ _THIN = 1e-6
 
 @dataclass(frozen=True)
 class Visible:
-    """How small an effect these motions could show.
+    """How small an effect these motions could show."""
 
-    Attributes
-    ----------
-    effect
-        Which, and where.
-    parameter
-        Index of the parameter by which its size is told.
-    usual
-        A usual size of that parameter; the others have theirs in proportion.
-    seen
-        Size whose trace, less what the links could explain, stands out by five standard deviations; None where no
-        plausible size does.
-    most_collinear
-        The effect elsewhere in the library whose trace is most like it; None without any other.
-    share
-        Part of the trace's energy that the most_collinear would explain, at its best values.
-    named
-        Size from which what the most_collinear leaves stands out as much; None where no plausible size does.
-    """
-
-    effect: Effect
-    parameter: int
-    usual: float
+    effect: Effect  # which, and where
+    parameter: int  # index of the parameter by which its size is told
+    usual: float  # a usual size of that parameter; the others have theirs in proportion
+    #: Size whose trace, less what the links could explain, stands out by five standard deviations; None where no plausible size
+    #: does.
     seen: float | None
-    most_collinear: Effect | None
-    share: float
-    named: float | None
+    most_collinear: Effect | None  # the effect elsewhere in the library whose trace is most like it; None without any other
+    share: float  # part of the trace's energy that the most_collinear would explain, at its best values
+    named: float | None  # size from which what the most_collinear leaves stands out as much; None where no plausible size does
 
 
 def visible(library: Library) -> tuple[Visible, ...]:

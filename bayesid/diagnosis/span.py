@@ -12,21 +12,11 @@ _LEAST = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """The space that columns span.
+    """The space that columns span."""
 
-    Attributes
-    ----------
-    columns
-        (rows, k).
-    root
-        ``columns @ root`` is an orthonormal basis (k, rank).
-    more
-        Another space, orthogonal to this one, or None.
-    """
-
-    columns: np.ndarray
-    root: np.ndarray
-    more: Span | None = None
+    columns: np.ndarray  # (rows, k)
+    root: np.ndarray  # ``columns @ root`` is an orthonormal basis (k, rank)
+    more: Span | None = None  # another space, orthogonal to this one, or None
 
     @classmethod
     def of(cls, columns: np.ndarray, least: float = _LEAST, rounding: float = 0.0) -> Span:

@@ -45,46 +45,24 @@ class _Fading:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """One gap-free recording of a motion or of its static run.
+    """One gap-free recording of a motion or of its static run."""
 
-    Attributes
-    ----------
-    motion, role
-        Which motion it belongs to.
-    times, encoders
-        (N,) [s] and the encoders' readings (N, n).
-    readings
-        Measured (N, c).
-    scene
-        Smoothed trajectory on a coarser even grid over the same time (M, n): predictions have little above the band.
-    still
-        Whether every sample is a pose at rest.
-    torque_channels
-        (channel, joint) of the channels that are joint torques.
-    covariance
-        Of the coefficients (K, c, c); empty until it is known.
-    instant
-        Whether a reading is the value at its time; otherwise it is the mean over one sample's time.
-    settings
-        The diagnosis' thresholds.
-    left_out
-        Start and end of a time that has no weight [s]: something else acted then.
-    kept
-        Coefficients of columns that are the same for any noise.
-    """
-
+    #: Which motion it belongs to.
     motion: str
     role: str
+    #: (N,) [s] and the encoders' readings (N, n).
     times: np.ndarray
     encoders: np.ndarray
-    readings: np.ndarray
+    readings: np.ndarray  # measured (N, c)
+    #: Smoothed trajectory on a coarser even grid over the same time (M, n): predictions have little above the band.
     scene: MotionSegment
-    still: bool
-    torque_channels: tuple[tuple[int, int], ...]
-    covariance: np.ndarray
-    instant: bool = False
-    settings: Settings = DEFAULT
-    left_out: tuple[float, float] | None = None
+    still: bool  # whether every sample is a pose at rest
+    torque_channels: tuple[tuple[int, int], ...]  # (channel, joint) of the channels that are joint torques
+    covariance: np.ndarray  # of the coefficients (K, c, c); empty until it is known
+    instant: bool = False  # whether a reading is the value at its time; otherwise it is the mean over one sample's time
+    settings: Settings = DEFAULT  # the diagnosis' thresholds
+    left_out: tuple[float, float] | None = None  # start and end of a time that has no weight [s]: something else acted then
+    #: Coefficients of columns that are the same for any noise.
     kept: Results = field(default_factory=lambda: Results(_KEPT), init=False, repr=False)
 
     @property

@@ -43,26 +43,14 @@ class Moment:
 
 @dataclass(frozen=True)
 class Stability:
-    """An effect without each part of the recordings.
+    """An effect without each part of the recordings."""
 
-    Attributes
-    ----------
-    spec
-        ``name@where``.
-    blocks
-        Number of parts.
-    least
-        Its smallest log evidence without one of them.
-    rests_on
-        The part that carries it, or None: so much of the evidence that the rest would not do to name it, and more than is even.
-    ranges
-        By parameter, the smallest and largest estimate without a part; infinite where one part alone determines it.
-    """
-
-    spec: str
-    blocks: int
-    least: float
+    spec: str  # ``name@where``
+    blocks: int  # number of parts
+    least: float  # its smallest log evidence without one of them
+    #: The part that carries it, or None: so much of the evidence that the rest would not do to name it, and more than is even.
     rests_on: Moment | None
+    #: By parameter, the smallest and largest estimate without a part; infinite where one part alone determines it.
     ranges: tuple[tuple[float, float], ...]
 
     def to_dict(self) -> dict:
@@ -78,18 +66,12 @@ class Stability:
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Inner products of all columns: links, effects' parameters, effects' traces, residual.
+    """Inner products of all columns: links, effects' parameters, effects' traces, residual."""
 
-    Attributes
-    ----------
-    whole, blocks
-        Over everything (p, p) and over each block (b, p, p).
-    links, parameters
-        How many columns of the first two kinds.
-    """
-
+    #: Over everything (p, p) and over each block (b, p, p).
     whole: np.ndarray
     blocks: np.ndarray
+    #: How many columns of the first two kinds.
     links: int
     parameters: int
 

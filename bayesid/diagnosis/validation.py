@@ -17,30 +17,19 @@ from bayesid.diagnosis.spectra import Segment
 
 @dataclass(frozen=True)
 class Gap:
-    """Root mean square of whitened residuals on validation motions; 1 is sensor and encoder noise alone.
+    """Root mean square of whitened residuals on validation motions; 1 is sensor and encoder noise alone."""
 
-    Attributes
-    ----------
-    before, after
-        With the user's model and with the effects found.
-    floor
-        What is expected of a complete model: noise, and the uncertainty of the fitted parameters on another motion.
-    closed, closed_low
-        ``(before^2 - after^2) / (before^2 - floor^2)``, and the lower end of its one-sided 95 % interval, by bootstrap
-        over blocks of time. NaN where there was no gap: ``before`` is no more than the floor.
-    difference
-        Sum of squares of what the effects change on these motions, in units of the noise: how well they could confirm them.
-    motions
-        The motions compared.
-    """
-
+    #: With the user's model and with the effects found.
     before: float
     after: float
-    floor: float
+    floor: float  # what is expected of a complete model: noise, and the uncertainty of the fitted parameters on another motion
+    #: ``(before^2 - after^2) / (before^2 - floor^2)``, and the lower end of its one-sided 95 % interval, by bootstrap over
+    #: blocks of time. NaN where there was no gap: ``before`` is no more than the floor.
     closed: float
     closed_low: float
+    #: Sum of squares of what the effects change on these motions, in units of the noise: how well they could confirm them.
     difference: float
-    motions: tuple[str, ...]
+    motions: tuple[str, ...]  # the motions compared
 
     def to_dict(self) -> dict:
         """The entry ``gap`` of ``diagnosis.json``."""

@@ -22,50 +22,27 @@ Reason = Literal["", "residual", "denied", "moment", "surrogates"]
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a verdict rests on.
+    """What a verdict rests on."""
 
-    Attributes
-    ----------
-    residual
-        Mean square of whitened residuals that the best model leaves on the fitted motions; 1 is noise.
-    explained
-        Share of what stood out of the noise there that it explains.
-    effects
-        How many effects were found.
-    unrelated
-        How many of them are unrelated: one kind at most joints counts once.
-    dropped
-        Whether others, that the data demanded too, were left out for their small share.
-    rivals
-        Whether another effect explains as much as one of those found.
-    unconfirmable
-        Whether held-out motions cannot deny the effects found: a contact does not come again, and of a changed link the same
-        motion is predicted as well by many links that are a little off.
-    momentary
-        Whether an effect would not be named without one moment of the recordings.
-    before, after, floor
-        Root mean squares on the held-out motions, without and with the effects and of a complete model; None without such
-        motions.
-    closed, closed_low
-        Share of the gap on them that is closed, and the lower end of its interval; nan where there was no gap.
-    difference
-        Sum of squares of what the effects change on them, in units of the noise.
-    """
-
-    residual: float
-    explained: float
-    effects: int
-    unrelated: int = 0
-    dropped: bool = False
-    rivals: bool = False
+    residual: float  # mean square of whitened residuals that the best model leaves on the fitted motions; 1 is noise
+    explained: float  # share of what stood out of the noise there that it explains
+    effects: int  # how many effects were found
+    unrelated: int = 0  # how many of them are unrelated: one kind at most joints counts once
+    dropped: bool = False  # whether others, that the data demanded too, were left out for their small share
+    rivals: bool = False  # whether another effect explains as much as one of those found
+    #: Whether held-out motions cannot deny the effects found: a contact does not come again, and of a changed link the same
+    #: motion is predicted as well by many links that are a little off.
     unconfirmable: bool = False
-    momentary: bool = False
+    momentary: bool = False  # whether an effect would not be named without one moment of the recordings
+    #: Root mean squares on the held-out motions, without and with the effects and of a complete model; None without such
+    #: motions.
     before: float | None = None
     after: float | None = None
     floor: float | None = None
+    #: Share of the gap on them that is closed, and the lower end of its interval; nan where there was no gap.
     closed: float = float("nan")
     closed_low: float = float("nan")
-    difference: float = float("inf")
+    difference: float = float("inf")  # sum of squares of what the effects change on them, in units of the noise
 
 
 def evidence_of(search: Search, gap: Gap | None, stability: Sequence[Stability | None] = ()) -> Evidence:

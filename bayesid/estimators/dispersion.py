@@ -38,37 +38,19 @@ _SMALLEST = 1e-9
 
 @dataclass(frozen=True)
 class Rows:
-    """Some or all of the weighted rows.
+    """Some or all of the weighted rows."""
 
-    Attributes
-    ----------
-    grams
-        ``[X_k y_k]'[X_k y_k]`` of each part (p + 1, p + 1).
-    middle
-        ``M = X' Sigma X`` (p, p); None: they are white, ``X'X``.
-    """
-
-    grams: Sequence[np.ndarray]
-    middle: np.ndarray | None = None
+    grams: Sequence[np.ndarray]  # ``[X_k y_k]'[X_k y_k]`` of each part (p + 1, p + 1)
+    middle: np.ndarray | None = None  # ``M = X' Sigma X`` (p, p); None: they are white, ``X'X``
 
 
 @dataclass(frozen=True)
 class Dispersion:
-    """Dispersion of an estimate between parts, and what it rests on.
+    """Dispersion of an estimate between parts, and what it rests on."""
 
-    Attributes
-    ----------
-    found
-        The dispersion; 1 where there are too few rows to tell.
-    degrees
-        Degrees of freedom; 0 there.
-    size
-        The trace that it is relative to.
-    """
-
-    found: float = 1.0
-    degrees: int = 0
-    size: float = 0.0
+    found: float = 1.0  # the dispersion; 1 where there are too few rows to tell
+    degrees: int = 0  # degrees of freedom; 0 there
+    size: float = 0.0  # the trace that it is relative to
 
     def beyond_chance(self, chance: float = CHANCE) -> bool:
         """Whether it is larger than noise alone makes it."""

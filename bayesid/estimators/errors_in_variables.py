@@ -80,31 +80,16 @@ def begin(regression: Regression) -> Start:
 
 @dataclass(frozen=True, kw_only=True)
 class TotalLeastSquaresDetails(Details):
-    """What total least squares says.
+    """What total least squares says."""
 
-    Attributes
-    ----------
-    encoder_std, encoder_correlation
-        Standard deviation of single positions [rad or m], and correlation of neighbouring ones, by joint.
-    regressor_noise
-        Where the errors are from, if not from encoders.
-    draws
-        Pairs of simulated recordings.
-    largest_noise_share
-        Of what a direction shows, the largest share that is noise.
-    shift_from_least_squares
-        Largest shift of a parameter, in standard deviations.
-    verdict
-        Whether encoder noise matters.
-    """
-
+    #: Standard deviation of single positions [rad or m], and correlation of neighbouring ones, by joint.
     encoder_std: list[float] | None = field(default=None, metadata=OPTIONAL)
     encoder_correlation: list[float] | None = field(default=None, metadata=OPTIONAL)
-    regressor_noise: str | None = field(default=None, metadata=OPTIONAL)
-    draws: int
-    largest_noise_share: float
-    shift_from_least_squares: float
-    verdict: str
+    regressor_noise: str | None = field(default=None, metadata=OPTIONAL)  # where the errors are from, if not from encoders
+    draws: int  # pairs of simulated recordings
+    largest_noise_share: float  # of what a direction shows, the largest share that is noise
+    shift_from_least_squares: float  # largest shift of a parameter, in standard deviations
+    verdict: str  # whether encoder noise matters
 
 
 @dataclass(frozen=True)

@@ -22,18 +22,10 @@ _WELL_DETERMINED = 1e-6
 
 @dataclass(frozen=True)
 class Factor:
-    """Triangular factor of weighted rows [X y].
+    """Triangular factor of weighted rows [X y]."""
 
-    Attributes
-    ----------
-    r
-        (p + 1, p + 1), upper triangular; the last column is the target's.
-    rows
-        How many scalar rows went in.
-    """
-
-    r: np.ndarray
-    rows: int
+    r: np.ndarray  # (p + 1, p + 1), upper triangular; the last column is the target's
+    rows: int  # how many scalar rows went in
 
     @property
     def matrix(self) -> np.ndarray:
@@ -150,20 +142,12 @@ class Pilot:
     is that of weighted Z times R; and Z is so well conditioned that its factor may come from ``Z' W'W Z``, at a fraction of the
     time of an orthogonal decomposition and nothing lost by squaring: this second factor makes up for what the first square lost
     [Yamamoto2015]_.
-
-    Attributes
-    ----------
-    blocks
-        The rows as they are.
-    root
-        R (p + 1, p + 1); None where they do not determine all columns well: factors then come from the rows themselves.
-    orthonormal
-        Blocks of Z, or again the rows.
     """
 
-    blocks: Sequence[Block]
+    blocks: Sequence[Block]  # the rows as they are
+    #: R (p + 1, p + 1); None where they do not determine all columns well: factors then come from the rows themselves.
     root: np.ndarray | None
-    orthonormal: Sequence[Block]
+    orthonormal: Sequence[Block]  # blocks of Z, or again the rows
 
     @classmethod
     def of(cls, blocks: Sequence[Block]) -> Pilot:

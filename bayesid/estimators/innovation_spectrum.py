@@ -35,18 +35,11 @@ _PASSES = 2
 
 @dataclass(frozen=True)
 class InnovationSpectrum:
-    """Covariance of whitened noise by octave.
+    """Covariance of whitened noise by octave."""
 
-    Attributes
-    ----------
-    edges
-        Upper edges of the bands as shares of the highest frequency, rising (b,); one band where rows are not consecutive.
-    covariance
-        Of the channels' innovations in each band (b, c, c); the identity where whitening is right.
-    """
-
+    #: Upper edges of the bands as shares of the highest frequency, rising (b,); one band where rows are not consecutive.
     edges: np.ndarray
-    covariance: np.ndarray
+    covariance: np.ndarray  # of the channels' innovations in each band (b, c, c); the identity where whitening is right
 
     def gram(self, group: str, rows: np.ndarray) -> np.ndarray:
         """``sum_b sum_{f in b} Z_f' S_b Z_f`` of consecutive rows Z in units of the innovations (k, c, p) -> (p, p)."""

@@ -66,22 +66,13 @@ class ShiftTest:
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentDetails(Details):
-    """What instrumental variables say.
+    """What instrumental variables say."""
 
-    Attributes
-    ----------
-    instruments
-        Where they are from.
-    first_stage, weak_instruments
-        Cragg and Donald's statistic, and whether it is too small.
-    durbin_wu_hausman
-        Whether encoder noise matters.
-    """
-
-    instruments: list[str]
+    instruments: list[str]  # where they are from
+    #: Cragg and Donald's statistic, and whether it is too small.
     first_stage: float
     weak_instruments: bool
-    durbin_wu_hausman: ShiftTest
+    durbin_wu_hausman: ShiftTest  # whether encoder noise matters
 
 
 @dataclass(frozen=True)

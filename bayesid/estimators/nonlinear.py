@@ -38,45 +38,26 @@ State = TypeVar("State")
 
 @dataclass(frozen=True)
 class Linearised(Generic[State]):
-    """A model linearised at a state.
+    """A model linearised at a state."""
 
-    Attributes
-    ----------
-    cost
-        What is minimised, at the state.
-    trial
-        From the caution: the state after a step, and its cost. States are new objects: a refused one leaves no trace.
-    """
-
-    cost: float
+    cost: float  # what is minimised, at the state
+    #: From the caution: the state after a step, and its cost. States are new objects: a refused one leaves no trace.
     trial: Callable[[float], tuple[State, float]]
 
 
 @dataclass(frozen=True)
 class StepControl:
-    """How steps are accepted, and how cautious the next one is.
+    """How steps are accepted, and how cautious the next one is."""
 
-    Attributes
-    ----------
-    steps, trials
-        At most so many steps, and trials of each.
-    first
-        Caution of the first trial.
-    refused, accepted
-        From the caution of a trial that was refused, or accepted: that of the next.
-    tolerance
-        From the cost at the state: a trial may be larger by this.
-    settled
-        Stop after an accepted step that gains less than this.
-    """
-
+    #: At most so many steps, and trials of each.
     steps: int
     trials: int
-    first: float
+    first: float  # caution of the first trial
+    #: From the caution of a trial that was refused, or accepted: that of the next.
     refused: Callable[[float], float]
     accepted: Callable[[float], float]
-    tolerance: Callable[[float], float]
-    settled: float = float("-inf")
+    tolerance: Callable[[float], float]  # from the cost at the state: a trial may be larger by this
+    settled: float = float("-inf")  # stop after an accepted step that gains less than this
 
 
 def minimise(state: State, linearise: Callable[[State], Linearised[State] | None], control: StepControl) -> State:

@@ -41,18 +41,12 @@ _WORDS = {"m": "mass", "mcx": "first moment along x", "mcy": "first moment along
 
 @dataclass(frozen=True)
 class PriorDisagreement:
-    """One base parameter as the prior and as the data have it, each with its standard deviation.
+    """One base parameter as the prior and as the data have it, each with its standard deviation."""
 
-    Attributes
-    ----------
-    label, unit
-        ``mass of link2``, or the combination's label; its unit.
-    prior, prior_std, data, data_std
-        [unit].
-    """
-
+    #: ``mass of link2``, or the combination's label; its unit.
     label: str
     unit: str
+    #: [unit].
     prior: float
     prior_std: float
     data: float
@@ -71,33 +65,17 @@ class PriorDisagreement:
 
 @dataclass(frozen=True)
 class PriorCheck:
-    """How far the data are from the prior, and how probable that is where both are right.
+    """How far the data are from the prior, and how probable that is where both are right."""
 
-    Attributes
-    ----------
-    distance
-        Joint distance, root of ``d' (V + K C K')^-1 d``.
-    base_parameters
-        How many were compared.
-    probability
-        Of a distance at least as large.
-    largest
-        The base parameter that is furthest off, by the standard deviation of the difference.
-    rel_std
-        Relative standard deviation of the nominal links; None with a prior of one's own.
-    stated
-        Whether it was stated beforehand; otherwise the data chose it, and do not fit even so where they contradict it.
-    widening
-        Where a stated prior and the data contradict each other, the factor of all its standard deviations that makes the data
-        most probable, and that `sample` widens it by; else 1.
-    """
-
-    distance: float
-    base_parameters: int
-    probability: float
-    largest: PriorDisagreement
-    rel_std: float | None = None
+    distance: float  # joint distance, root of ``d' (V + K C K')^-1 d``
+    base_parameters: int  # how many were compared
+    probability: float  # of a distance at least as large
+    largest: PriorDisagreement  # the base parameter that is furthest off, by the standard deviation of the difference
+    rel_std: float | None = None  # relative standard deviation of the nominal links; None with a prior of one's own
+    #: Whether it was stated beforehand; otherwise the data chose it, and do not fit even so where they contradict it.
     stated: bool = True
+    #: Where a stated prior and the data contradict each other, the factor of all its standard deviations that makes the data
+    #: most probable, and that `sample` widens it by; else 1.
     widening: float = 1.0
 
     @property

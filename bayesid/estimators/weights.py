@@ -35,36 +35,23 @@ SMALLEST_PARTS = 1e-4
 
 @dataclass(frozen=True)
 class Weights:
-    """What the noise looks like and where that was learned.
+    """What the noise looks like and where that was learned."""
 
-    Attributes
-    ----------
-    noise
-        Noise model of each group of rows.
-    agreement
-        Probability that generalised and channel-weighted least squares differ as much as they do when the
-        model is complete (a Hausman test [Hausman1978]_): when it is tiny, something is missing in the model.
-    complete
-        Whether residuals may be taken for noise alone: ``agreement`` allows it, and the efficient fit scatters between
-        parts of the recording no more than noise explains. Where ``agreement`` does not, the noise is that of the
-        channel-weighted residuals, model error included; else that of an efficient fit.
-    solution
-        Of the channel-weighted fit to the pilot (p,).
-    scatter
-        Dispersion of the channel-weighted fit between parts of the recording over what ``noise`` allows
-        (`bayesid.estimators.dispersion`).
-    channels
-        That of each channel, by name; none where the model is complete: how much they differ is mostly chance there.
-    by_noise
-        Whether rows are weighted by the noise even if the model lacks something, for it is not learned from residuals alone.
-    """
-
-    noise: dict[str, NoiseModel]
+    noise: dict[str, NoiseModel]  # noise model of each group of rows
+    #: Probability that generalised and channel-weighted least squares differ as much as they do when the model is complete (a
+    #: Hausman test [Hausman1978]_): when it is tiny, something is missing in the model.
     agreement: float
+    #: Whether residuals may be taken for noise alone: ``agreement`` allows it, and the efficient fit scatters between parts of
+    #: the recording no more than noise explains. Where ``agreement`` does not, the noise is that of the channel-weighted
+    #: residuals, model error included; else that of an efficient fit.
     complete: bool
-    solution: np.ndarray
+    solution: np.ndarray  # of the channel-weighted fit to the pilot (p,)
+    #: Dispersion of the channel-weighted fit between parts of the recording over what ``noise`` allows
+    #: (`bayesid.estimators.dispersion`).
     scatter: Dispersion = Dispersion()
+    #: That of each channel, by name; none where the model is complete: how much they differ is mostly chance there.
     channels: dict[str, Dispersion] = field(default_factory=dict)
+    #: Whether rows are weighted by the noise even if the model lacks something, for it is not learned from residuals alone.
     by_noise: bool = False
 
     @cached_property

@@ -108,18 +108,10 @@ def blocks_of(rows: np.ndarray, times: np.ndarray, motions: np.ndarray, labels: 
 
 @dataclass(frozen=True, eq=False)
 class GivenErrors:
-    """Draws of the regressor's errors that were given beside its blocks.
+    """Draws of the regressor's errors that were given beside its blocks."""
 
-    Attributes
-    ----------
-    blocks
-        The regression's.
-    errors
-        (draws, samples, channels, p).
-    """
-
-    blocks: list[Block]
-    errors: np.ndarray
+    blocks: list[Block]  # the regression's
+    errors: np.ndarray  # (draws, samples, channels, p)
 
     def perturbed(self, draw: int, sign: float) -> Iterator[Block]:
         """The blocks with the errors of a draw, times the sign, added."""

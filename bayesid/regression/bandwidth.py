@@ -40,27 +40,13 @@ _SHORTEST = 8  # rows of a part
 
 @dataclass(frozen=True)
 class BandwidthChoice:
-    """Bandwidths that were tried, and what they do to predictions and to the estimate.
+    """Bandwidths that were tried, and what they do to predictions and to the estimate."""
 
-    Attributes
-    ----------
-    bandwidths
-        (b,) [Hz], falling.
-    error
-        Residual power on parts that were left out, relative to the first bandwidth (b,).
-    doubt
-        Standard error of each one's difference to the best (b,).
-    estimates
-        Channel-weighted least squares at each bandwidth (b, p).
-    chosen
-        Index of the one taken.
-    """
-
-    bandwidths: np.ndarray
-    error: np.ndarray
-    doubt: np.ndarray
-    estimates: np.ndarray
-    chosen: int
+    bandwidths: np.ndarray  # (b,) [Hz], falling
+    error: np.ndarray  # residual power on parts that were left out, relative to the first bandwidth (b,)
+    doubt: np.ndarray  # standard error of each one's difference to the best (b,)
+    estimates: np.ndarray  # channel-weighted least squares at each bandwidth (b, p)
+    chosen: int  # index of the one taken
 
 
 def candidates(highest: float) -> np.ndarray:

@@ -14,27 +14,13 @@ PANEL = 1024
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive rows of one recording.
+    """Consecutive rows of one recording."""
 
-    Attributes
-    ----------
-    rows
-        Regressor columns and, last, the target (k, channels, p + 1).
-    times
-        (k,) [s].
-    motion
-        Index of the recording.
-    start
-        Whether the recording (or a segment after a gap) starts with the first row.
-    group
-        Rows with the same noise: ``trajectory`` or ``poses``.
-    """
-
-    rows: np.ndarray
-    times: np.ndarray
-    motion: int
-    start: bool
-    group: str = "trajectory"
+    rows: np.ndarray  # regressor columns and, last, the target (k, channels, p + 1)
+    times: np.ndarray  # (k,) [s]
+    motion: int  # index of the recording
+    start: bool  # whether the recording (or a segment after a gap) starts with the first row
+    group: str = "trajectory"  # rows with the same noise: ``trajectory`` or ``poses``
 
     @property
     def matrix(self) -> np.ndarray:
@@ -65,70 +51,38 @@ def residual_of(rows: np.ndarray, solution: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Pair:
-    """The same rows of two trajectories: regressors, and instruments for them.
+    """The same rows of two trajectories: regressors, and instruments for them."""
 
-    Attributes
-    ----------
-    regressors, instruments
-        Blocks with the same rows and the same target.
-    symmetric
-        Whether each also serves as the instrument of the other.
-    """
-
+    #: Blocks with the same rows and the same target.
     regressors: Block
     instruments: Block
-    symmetric: bool = False
+    symmetric: bool = False  # whether each also serves as the instrument of the other
 
 
 @dataclass(frozen=True)
 class Instruments:
-    """Rows whose errors are independent of the regressor's.
+    """Rows whose errors are independent of the regressor's."""
 
-    Attributes
-    ----------
-    pairs
-        Makes them, all recordings one after the other.
-    describe
-        What they are, for the estimate's details.
-    drawn
-        From the number of a draw: the same with further errors drawn from the regressor's law, if that is known.
-    """
-
-    pairs: Callable[[], Iterable[Pair]]
-    describe: Callable[[], dict[str, Any]]
+    pairs: Callable[[], Iterable[Pair]]  # makes them, all recordings one after the other
+    describe: Callable[[], dict[str, Any]]  # what they are, for the estimate's details
+    #: From the number of a draw: the same with further errors drawn from the regressor's law, if that is known.
     drawn: Callable[[int], Iterable[Pair]] | None = None
 
 
 @dataclass(frozen=True)
 class RegressorNoise:
-    """The law of the regressor's errors, as draws from it.
+    """The law of the regressor's errors, as draws from it."""
 
-    Attributes
-    ----------
-    perturbed
-        From the number of a draw and a sign: all blocks with that error, times the sign, added.
-    simulated
-        Blocks of a motion near the recorded one: without errors (None), or with those of a draw.
-    pieces
-        The same of a few thousand samples at most: evenly spread pieces of long recordings.
-    misread
-        From a number of draws and parameters (p,): what errors of each draw add to ``X b`` in the rows of `pieces`,
-        ``misread(draws, b)[d][k]`` (rows, channels). Much less work than the regressors of these draws.
-    present
-        Whether there is any.
-    describe
-        How large it is, for the estimate's details.
-    draws
-        How many there are; None: any number.
-    rung
-        Whether something in the model rings with them, and makes much more of them than rigid bodies do.
-    """
-
+    #: From the number of a draw and a sign: all blocks with that error, times the sign, added.
     perturbed: Callable[[int, float], Iterable[Block]]
+    #: Blocks of a motion near the recorded one: without errors (None), or with those of a draw.
     simulated: Callable[[int | None], Iterable[Block]]
+    #: The same of a few thousand samples at most: evenly spread pieces of long recordings.
     pieces: Callable[[int | None], Iterable[Block]]
+    #: From a number of draws and parameters (p,): what errors of each draw add to ``X b`` in the rows of `pieces`,
+    #: ``misread(draws, b)[d][k]`` (rows, channels). Much less work than the regressors of these draws.
     misread: Callable[[int, np.ndarray], list[list[np.ndarray]]]
-    present: Callable[[], bool]
-    describe: Callable[[], dict[str, Any]]
-    draws: int | None = None
-    rung: bool = False
+    present: Callable[[], bool]  # whether there is any
+    describe: Callable[[], dict[str, Any]]  # how large it is, for the estimate's details
+    draws: int | None = None  # how many there are; None: any number
+    rung: bool = False  # whether something in the model rings with them, and makes much more of them than rigid bodies do

@@ -41,18 +41,10 @@ _MOVED, _STRETCHED = 5.0, 0.1
 
 @dataclass(frozen=True)
 class EncoderNoise:
-    """Errors of single position samples, as the recordings themselves show them.
+    """Errors of single position samples, as the recordings themselves show them."""
 
-    Attributes
-    ----------
-    std
-        (n,) [rad or m].
-    correlation
-        Of neighbouring samples (n,); well above zero where the rounding of a slow motion dominates.
-    """
-
-    std: np.ndarray
-    correlation: np.ndarray
+    std: np.ndarray  # (n,) [rad or m]
+    correlation: np.ndarray  # of neighbouring samples (n,); well above zero where the rounding of a slow motion dominates
 
 
 def measure(segments: Sequence[Segment | LongSegment], bandwidth: float, most: np.ndarray, least: float = 0.0) -> EncoderNoise:
@@ -115,25 +107,15 @@ def errors_of(
 
 @dataclass(frozen=True, eq=False)
 class _Encoders:
-    """Encoder noise of segments and what it makes of their rows.
+    """Encoder noise of segments and what it makes of their rows."""
 
-    Attributes
-    ----------
-    row_model, segments, smoother
-        As `errors_of` takes them.
-    kinds
-        What serves as the instrument of each segment.
-    noise
-        The size of the noise.
-    quiet, quiet_pieces
-        The segments, and evenly spread pieces of long ones, as they might truly have been.
-    """
-
+    #: As `errors_of` takes them.
     row_model: RowModel
     segments: Sequence[Segment | LongSegment]
     smoother: Smoother
-    kinds: tuple[str, ...]
-    noise: Once[EncoderNoise]
+    kinds: tuple[str, ...]  # what serves as the instrument of each segment
+    noise: Once[EncoderNoise]  # the size of the noise
+    #: The segments, and evenly spread pieces of long ones, as they might truly have been.
     quiet: Once[list[Segment]]
     quiet_pieces: Once[list[Segment]]
 

@@ -10,21 +10,13 @@ from scipy.stats import chi2
 
 @dataclass(frozen=True)
 class ChiSquared:
-    """A statistic that is chi-squared distributed where the hypothesis holds.
+    """A statistic that is chi-squared distributed where the hypothesis holds."""
 
-    Attributes
-    ----------
-    statistic, degrees
-        Its value and degrees of freedom; 0 where nothing can be tested.
-    probability
-        Of a statistic at least as large; 1 where nothing can be tested.
-    lowest
-        Smallest eigenvalue of the covariance that was tested with, in the units of the test; well below zero: it is none.
-    """
-
+    #: Its value and degrees of freedom; 0 where nothing can be tested.
     statistic: float
     degrees: int
-    probability: float
+    probability: float  # of a statistic at least as large; 1 where nothing can be tested
+    #: Smallest eigenvalue of the covariance that was tested with, in the units of the test; well below zero: it is none.
     lowest: float
 
 

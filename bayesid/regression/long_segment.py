@@ -18,37 +18,18 @@ _FIRST = 100_000
 
 @dataclass(frozen=True, eq=False)
 class LongSegment:
-    """One gap-free segment of a table that is read in chunks; samples count from its own first.
+    """One gap-free segment of a table that is read in chunks; samples count from its own first."""
 
-    Attributes
-    ----------
-    stored
-        The table.
-    first, last
-        Its samples first ... last - 1 of the table.
-    groups
-        Which readings the channels are: ``wrench``, ``torques`` or both.
-    torque_joints
-        Joints whose torques are read.
-    known
-        What of every reading is known (channels,).
-    motion
-        Index of the recording.
-    offset
-        Whether a sensor's constant offset is in it.
-    settling
-        As of a `Segment` [s].
-    """
-
-    stored: StoredTable
+    stored: StoredTable  # the table
+    #: Its samples first ... last - 1 of the table.
     first: int
     last: int
-    groups: tuple[str, ...]
-    torque_joints: tuple[int, ...]
-    known: np.ndarray
-    motion: int
-    offset: bool = True
-    settling: float = 0.0
+    groups: tuple[str, ...]  # which readings the channels are: ``wrench``, ``torques`` or both
+    torque_joints: tuple[int, ...]  # joints whose torques are read
+    known: np.ndarray  # what of every reading is known (channels,)
+    motion: int  # index of the recording
+    offset: bool = True  # whether a sensor's constant offset is in it
+    settling: float = 0.0  # as of a `Segment` [s]
     poses = False
     gravity = True
     commanded = None

@@ -57,45 +57,20 @@ _SHORTEST_PIECE = 4.5
 
 @dataclass(frozen=True, repr=False)
 class Problem:
-    """An experiment made ready for estimation.
+    """An experiment made ready for estimation."""
 
-    Attributes
-    ----------
-    experiment
-        Where it comes from.
-    channel
-        ``wrench``, ``torque`` or ``both``.
-    row_model
-        How samples become rows.
-    smoother
-        The bandwidth of the joint motion and why.
-    bandwidths
-        The bandwidths that were tried; None where there was nothing to choose.
-    regression
-        Rows of the motions that are fitted.
-    segments
-        Gap-free segments of every motion, by name; of one that is read in chunks, those of its excerpt.
-    rows
-        The rows of every motion, whether it is read in chunks or not.
-    fitted
-        Names of the motions that are fitted.
-    static
-        ``motion`` where a static run has been subtracted, ``joint`` where static readings are fitted along,
-        ``none``.
-    effects
-        The model's effects as they were named, ``name`` or ``name@where``; those nobody needs to name first.
-    """
-
-    experiment: Experiment
-    channel: str
-    row_model: RowModel
-    smoother: Smoother
-    bandwidths: BandwidthChoice | None
-    regression: Regression
+    experiment: Experiment  # where it comes from
+    channel: str  # ``wrench``, ``torque`` or ``both``
+    row_model: RowModel  # how samples become rows
+    smoother: Smoother  # the bandwidth of the joint motion and why
+    bandwidths: BandwidthChoice | None  # the bandwidths that were tried; None where there was nothing to choose
+    regression: Regression  # rows of the motions that are fitted
+    #: Gap-free segments of every motion, by name; of one that is read in chunks, those of its excerpt.
     segments: dict[str, list[Segment]]
-    rows: MotionRows
-    fitted: tuple[str, ...]
-    static: str
+    rows: MotionRows  # the rows of every motion, whether it is read in chunks or not
+    fitted: tuple[str, ...]  # names of the motions that are fitted
+    static: str  # ``motion`` where a static run has been subtracted, ``joint`` where static readings are fitted along, ``none``
+    #: The model's effects as they were named, ``name`` or ``name@where``; those nobody needs to name first.
     effects: tuple[str, ...] = ()
 
 

@@ -32,31 +32,18 @@ class RowCache:
     """Rows, made when they are read and kept while they fit, with what depends on them alone.
 
     Several threads may read at once: the rows of the first to finish are kept.
-
-    Attributes
-    ----------
-    make
-        Makes all blocks; called anew for every reading unless they were kept.
-    count
-        Number of rows in all blocks.
-    width
-        Numbers in a row: channels times (parameters + 1).
-    make_pilot
-        Makes blocks of a few segments alone, where there are many more rows than `PILOT_ROWS`; None: picked from all blocks.
-    known_poles
-        Poles of the low-pass filters that the rows went through from the zero state, at the rows' spacing.
-    parts
-        Of recordings that are read in chunks: make some of the blocks each, anywhere; together, in order, all of them.
-    kept, kept_pilot
-        Blocks that are in memory, all of them and those of the pilot; None: not made yet, or too many.
     """
 
-    make: Callable[[], Iterable[Block]]
-    count: int
-    width: int
+    make: Callable[[], Iterable[Block]]  # makes all blocks; called anew for every reading unless they were kept
+    count: int  # number of rows in all blocks
+    width: int  # numbers in a row: channels times (parameters + 1)
+    #: Makes blocks of a few segments alone, where there are many more rows than `PILOT_ROWS`; None: picked from all blocks.
     make_pilot: Callable[[], Iterable[Block]] | None = None
+    #: Poles of the low-pass filters that the rows went through from the zero state, at the rows' spacing.
     known_poles: np.ndarray | None = None
+    #: Of recordings that are read in chunks: make some of the blocks each, anywhere; together, in order, all of them.
     parts: Sequence[Callable[[], Iterable[Block]]] | None = None
+    #: Blocks that are in memory, all of them and those of the pilot; None: not made yet, or too many.
     kept: tuple[Block, ...] | None = None
     kept_pilot: tuple[Block, ...] | None = None
 

@@ -21,33 +21,18 @@ _PANEL = 512  # samples whose rows stay in the processor's cache
 
 @dataclass(frozen=True, repr=False)
 class RowModel:
-    """How samples become rows: everything but the samples.
+    """How samples become rows: everything but the samples."""
 
-    Attributes
-    ----------
-    robot, channels, base, effects
-        The model.
-    bandwidth
-        Of the joint motion [Hz].
-    step
-        Distance of rows [s].
-    filters
-        The paper's low-passes, or None for rows straight from the smoothed trajectory.
-    point
-        Where the readings are linearised, where effects are not plain columns beside the rigid ones.
-    clear
-        As in `bayesid.effects.MotionSegment` [Hz].
-    """
-
+    #: The model.
     robot: Robot
     channels: Channels
     base: BaseParameters
     effects: tuple[Effect, ...]
-    bandwidth: float
-    step: float
-    filters: LowPass | None = None
-    point: Point | None = None
-    clear: float | None = None
+    bandwidth: float  # of the joint motion [Hz]
+    step: float  # distance of rows [s]
+    filters: LowPass | None = None  # the paper's low-passes, or None for rows straight from the smoothed trajectory
+    point: Point | None = None  # where the readings are linearised, where effects are not plain columns beside the rigid ones
+    clear: float | None = None  # as in `bayesid.effects.MotionSegment` [Hz]
 
     @property
     def rings(self) -> bool:

@@ -100,28 +100,15 @@ def _count(row_model: RowModel, begin: float, end: float) -> int:
 
 @dataclass(frozen=True)
 class RowChunk:
-    """Some rows of a recording that is read in chunks: the same as if all of it were in memory.
+    """Some rows of a recording that is read in chunks: the same as if all of it were in memory."""
 
-    Attributes
-    ----------
-    row_model, segment
-        How samples become rows, and where they are.
-    start
-        Time of the segment's first row [s].
-    rows
-        Which of its rows.
-    samples
-        The samples that all of its rows are made of.
-    spacing
-        Distance of times that regressors are interpolated from [s]; None: they are computed at all samples.
-    """
-
+    #: How samples become rows, and where they are.
     row_model: RowModel
     segment: LongSegment
-    start: float
-    rows: range
-    samples: range
-    spacing: float | None
+    start: float  # time of the segment's first row [s]
+    rows: range  # which of its rows
+    samples: range  # the samples that all of its rows are made of
+    spacing: float | None  # distance of times that regressors are interpolated from [s]; None: they are computed at all samples
 
     def __call__(self) -> list[Block]:
         """All blocks."""

@@ -15,51 +15,25 @@ _REST, _STILL = 0.1, 0.01
 
 @dataclass(frozen=True)
 class Segment:
-    """One gap-free segment of a recording, ready to be turned into rows.
+    """One gap-free segment of a recording, ready to be turned into rows."""
 
-    Attributes
-    ----------
-    times, positions
-        (N,) [s] and encoder positions (N, n) [rad or m].
-    readings
-        What the channels read (N, channels).
-    known
-        What of it is known, a static run's readings (N, channels) or a constant (channels,).
-    motion
-        Index of the recording.
-    gravity
-        False for a motion wrench, from which gravity has been subtracted.
-    offset
-        Whether a sensor's constant offset is in it.
-    poses
-        Whether every sample is a pose at rest of its own.
-    commanded
-        Commanded positions (N, n), if they were recorded.
-    period
-        The motion repeats with it [s], if it does.
-    rates
-        Velocities and accelerations of a planned motion (2, N, n) [rad/s or m/s, and per second]; None: positions are smoothed.
-    settling
-        Time that what rings needs to forget how the robot was moving when the segment starts, unless it starts at rest [s].
-    in_turn
-        As in `bayesid.effects.MotionSegment`.
-    events
-        Whether effects that happen once may have happened in it: not at rest, nor in a motion that is there to be predicted.
-    """
-
+    #: (N,) [s] and encoder positions (N, n) [rad or m].
     times: np.ndarray
     positions: np.ndarray
-    readings: np.ndarray
-    known: np.ndarray
-    motion: int
-    gravity: bool = True
-    offset: bool = True
-    poses: bool = False
-    commanded: np.ndarray | None = None
-    period: float | None = None
+    readings: np.ndarray  # what the channels read (N, channels)
+    known: np.ndarray  # what of it is known, a static run's readings (N, channels) or a constant (channels,)
+    motion: int  # index of the recording
+    gravity: bool = True  # False for a motion wrench, from which gravity has been subtracted
+    offset: bool = True  # whether a sensor's constant offset is in it
+    poses: bool = False  # whether every sample is a pose at rest of its own
+    commanded: np.ndarray | None = None  # commanded positions (N, n), if they were recorded
+    period: float | None = None  # the motion repeats with it [s], if it does
+    #: Velocities and accelerations of a planned motion (2, N, n) [rad/s or m/s, and per second]; None: positions are smoothed.
     rates: np.ndarray | None = None
+    #: Time that what rings needs to forget how the robot was moving when the segment starts, unless it starts at rest [s].
     settling: float = 0.0
-    in_turn: bool = False
+    in_turn: bool = False  # as in `bayesid.effects.MotionSegment`
+    #: Whether effects that happen once may have happened in it: not at rest, nor in a motion that is there to be predicted.
     events: bool = True
 
     @property

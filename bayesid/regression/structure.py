@@ -17,24 +17,12 @@ from bayesid.regression.segment import Segment
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Effects and base parameters of a model.
+    """Effects and base parameters of a model."""
 
-    Attributes
-    ----------
-    specs
-        The effects as they were named, ``name`` or ``name@where``; those nobody needs to name first.
-    effects
-        Those that act on the channels, at their places.
-    base
-        Base parameters of the richest motion of this kind.
-    point
-        Where readings are linearised; None where effects are plain columns beside the rigid ones.
-    """
-
-    specs: tuple[str, ...]
-    effects: tuple[Effect, ...]
-    base: BaseParameters
-    point: Point | None
+    specs: tuple[str, ...]  # the effects as they were named, ``name`` or ``name@where``; those nobody needs to name first
+    effects: tuple[Effect, ...]  # those that act on the channels, at their places
+    base: BaseParameters  # base parameters of the richest motion of this kind
+    point: Point | None  # where readings are linearised; None where effects are plain columns beside the rigid ones
 
 
 def model_structure(

@@ -37,21 +37,11 @@ _PANEL = 2048
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """Rows as a triangular factor.
+    """Rows as a triangular factor."""
 
-    Attributes
-    ----------
-    columns
-        Factor of the columns (q + 1, q).
-    target
-        What the reference leaves, rotated alike (q + 1,).
-    rows
-        How many independent rows there were.
-    """
-
-    columns: np.ndarray
-    target: np.ndarray
-    rows: float
+    columns: np.ndarray  # factor of the columns (q + 1, q)
+    target: np.ndarray  # what the reference leaves, rotated alike (q + 1,)
+    rows: float  # how many independent rows there were
 
     @classmethod
     def of(cls, rows: np.ndarray, left: np.ndarray, correlation: float = 1.0) -> Reduced:
@@ -65,28 +55,16 @@ class Reduced:
 
 @dataclass(frozen=True, eq=False)
 class Marginal:
-    """What is left of the data once everything known is integrated out.
+    """What is left of the data once everything known is integrated out."""
 
-    Attributes
-    ----------
-    data
-        The rows.
-    known
-        Combinations of columns with unit variance each (q, k): root of the reference's covariance, the tolerance, and changes
-        that are accepted.
-    mean
-        Amplitudes of all columns that are expected (q,): of what is in both recordings.
-    factor
-        By which the tolerance is wider than usual; `known` holds it but for effects that are in no change yet.
-    prior
-        Log probability of that factor beforehand.
-    """
-
-    data: Reduced
+    data: Reduced  # the rows
+    #: Combinations of columns with unit variance each (q, k): root of the reference's covariance, the tolerance, and changes
+    #: that are accepted.
     known: np.ndarray
-    mean: np.ndarray
+    mean: np.ndarray  # amplitudes of all columns that are expected (q,): of what is in both recordings
+    #: By which the tolerance is wider than usual; `known` holds it but for effects that are in no change yet.
     factor: float = 1.0
-    prior: float = 0.0
+    prior: float = 0.0  # log probability of that factor beforehand
 
     @cached_property
     def _parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

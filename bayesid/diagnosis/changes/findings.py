@@ -28,17 +28,10 @@ _PRECISION = 1.02
 
 @dataclass(frozen=True)
 class HiddenChange:
-    """The smallest change of a kind that would have been named.
+    """The smallest change of a kind that would have been named."""
 
-    Attributes
-    ----------
-    change
-        What it is.
-    value
-        Of its first parameter, the others in their typical proportion to it; infinite where these motions never show it.
-    """
-
-    change: Hypothesis
+    change: Hypothesis  # what it is
+    #: Of its first parameter, the others in their typical proportion to it; infinite where these motions never show it.
     value: float
 
 
@@ -126,46 +119,27 @@ def verdict(selection: Selection, errors: HeldOutErrors, settings: Settings) -> 
 
 @dataclass(frozen=True, eq=False)
 class Value:
-    """A parameter of a change.
+    """A parameter of a change."""
 
-    Attributes
-    ----------
-    name, unit
-        Of the parameter, with the joint in front where all joints share the change.
-    value, std
-        The change since the reference, and its standard deviation; nan where it is a shape that was held.
-    before
-        What it was in the reference; zero for what was not there.
-    """
-
+    #: Of the parameter, with the joint in front where all joints share the change.
     name: str
     unit: str
+    #: The change since the reference, and its standard deviation; nan where it is a shape that was held.
     value: float
     std: float
-    before: float
+    before: float  # what it was in the reference; zero for what was not there
 
 
 @dataclass(frozen=True, eq=False)
 class NamedChange:
-    """A change that is named.
+    """A change that is named."""
 
-    Attributes
-    ----------
-    found
-        What the data say of it.
-    values
-        Its parameters.
-    share, share_low
-        Of the gap between reference and recording that it closes on held-out parts; lower end of its one-sided 95 %
-        interval.
-    derived
-        What follows from the parameters of an effect that came, see `bayesid.effects.effect.Effect.derived`.
-    """
-
-    found: Accepted
-    values: tuple[Value, ...]
+    found: Accepted  # what the data say of it
+    values: tuple[Value, ...]  # its parameters
+    #: Of the gap between reference and recording that it closes on held-out parts; lower end of its one-sided 95 % interval.
     share: float
     share_low: float
+    #: What follows from the parameters of an effect that came, see `bayesid.effects.effect.Effect.derived`.
     derived: tuple[Value, ...] = ()
 
     @property
@@ -181,35 +155,19 @@ class NamedChange:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceComparison:
-    """What a comparison with a reference found.
+    """What a comparison with a reference found."""
 
-    Attributes
-    ----------
-    reference, recording
-        Before and after.
-    selection, errors
-        Changes that the data demand, and how they do on held-out parts.
-    verdict
-        As in ``diagnosis.json``.
-    changes
-        Those that are named.
-    hidden
-        How large every other change had to be to be named.
-    terms
-        Effects of the later recording: the reference's at their new values, then those that came.
-    settings
-        Thresholds it was decided by.
-    """
-
+    #: Before and after.
     reference: Reference
     recording: LaterRecording
+    #: Changes that the data demand, and how they do on held-out parts.
     selection: Selection
     errors: HeldOutErrors
-    verdict: Verdict
-    changes: tuple[NamedChange, ...]
-    hidden: tuple[HiddenChange, ...]
-    terms: tuple[Term, ...]
-    settings: Settings = DEFAULT
+    verdict: Verdict  # as in ``diagnosis.json``
+    changes: tuple[NamedChange, ...]  # those that are named
+    hidden: tuple[HiddenChange, ...]  # how large every other change had to be to be named
+    terms: tuple[Term, ...]  # effects of the later recording: the reference's at their new values, then those that came
+    settings: Settings = DEFAULT  # thresholds it was decided by
 
     @property
     def scores(self) -> Scores:

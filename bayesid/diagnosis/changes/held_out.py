@@ -25,67 +25,38 @@ _ENOUGH_MOTIONS = 4
 
 @dataclass(frozen=True)
 class Place:
-    """A channel and a time in which the reference's prediction is off.
+    """A channel and a time in which the reference's prediction is off."""
 
-    Attributes
-    ----------
-    channel, motion
-        Indices.
-    start, end
-        When [s].
-    before, after
-        Root mean square of the residual there, of the reference and with all changes and tolerances.
-    """
-
+    #: Indices.
     channel: int
     motion: int
+    #: When [s].
     start: float
     end: float
+    #: Root mean square of the residual there, of the reference and with all changes and tolerances.
     before: float
     after: float
 
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """Mean squares of residuals on parts held out in turn; one is what the recording's own fit leaves.
+    """Mean squares of residuals on parts held out in turn; one is what the recording's own fit leaves."""
 
-    Attributes
-    ----------
-    reference
-        Of the reference as it is.
-    changes
-        With one change more each, and nothing else (m,).
-    after
-        With all changes, and all else fitted within its tolerance.
-    tolerance
-        Without any change, all else fitted within its tolerance.
-    floor
-        What the recording's own fit of the same model leaves; no more than the least of the others.
-    shares, shares_low
-        Share of the gap from ``reference`` to ``floor`` that each change closes (m,), and the lower ends of their one-sided 95 %
-        intervals, by bootstrap over blocks of time; nan where there is no gap.
-    closed, closed_low
-        Share that is closed in all, tolerance included.
-    by_channel
-        Root mean square by channel: reference, with the changes, after, floor (c, 4).
-    places
-        Channels and blocks of time where the reference's prediction is furthest off.
-    segments
-        How many were left out in turn.
-    """
-
-    reference: float
-    changes: tuple[float, ...]
-    after: float
-    tolerance: float
-    floor: float
+    reference: float  # of the reference as it is
+    changes: tuple[float, ...]  # with one change more each, and nothing else (m,)
+    after: float  # with all changes, and all else fitted within its tolerance
+    tolerance: float  # without any change, all else fitted within its tolerance
+    floor: float  # what the recording's own fit of the same model leaves; no more than the least of the others
+    #: Share of the gap from ``reference`` to ``floor`` that each change closes (m,), and the lower ends of their one-sided 95 %
+    #: intervals, by bootstrap over blocks of time; nan where there is no gap.
     shares: tuple[float, ...]
     shares_low: tuple[float, ...]
+    #: Share that is closed in all, tolerance included.
     closed: float
     closed_low: float
-    by_channel: np.ndarray
-    places: tuple[Place, ...]
-    segments: int
+    by_channel: np.ndarray  # root mean square by channel: reference, with the changes, after, floor (c, 4)
+    places: tuple[Place, ...]  # channels and blocks of time where the reference's prediction is furthest off
+    segments: int  # how many were left out in turn
 
     @property
     def remainder(self) -> float:

@@ -19,54 +19,30 @@ EVERYWHERE = "every joint"
 
 @dataclass(frozen=True, eq=False)
 class SharedAmplitudes:
-    """Amplitudes that are in both recordings.
+    """Amplitudes that are in both recordings."""
 
-    Attributes
-    ----------
-    columns
-        Columns of `LaterRecording.rows` less what the reference's estimate takes of them (k,).
-    mean, root
-        As the reference has them (k,), and a root of their covariance (k, k).
-    wander
-        Standard deviations from one recording to another with nothing changed (k,).
-    """
-
-    columns: np.ndarray
+    columns: np.ndarray  # columns of `LaterRecording.rows` less what the reference's estimate takes of them (k,)
+    #: As the reference has them (k,), and a root of their covariance (k, k).
     mean: np.ndarray
     root: np.ndarray
-    wander: np.ndarray
+    wander: np.ndarray  # standard deviations from one recording to another with nothing changed (k,)
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A change that competes with others.
+    """A change that competes with others."""
 
-    Attributes
-    ----------
-    name, where
-        As in the experiment format, or `EVERYWHERE`.
-    effects
-        What changed: one effect, or one at every joint.
-    columns
-        Columns of `LaterRecording.rows` (k,).
-    sizes
-        Typical amplitudes (k,).
-    shared
-        What the reference says of the amplitudes of an effect that its model does not have; None: it has them.
-    proposal
-        How amplitudes become values, of an effect that the reference's model does not have.
-    known
-        Whether it has it, with other values.
-    """
-
+    #: As in the experiment format, or `EVERYWHERE`.
     name: str
     where: str
-    effects: tuple[Effect, ...]
-    columns: np.ndarray
-    sizes: np.ndarray
+    effects: tuple[Effect, ...]  # what changed: one effect, or one at every joint
+    columns: np.ndarray  # columns of `LaterRecording.rows` (k,)
+    sizes: np.ndarray  # typical amplitudes (k,)
+    #: What the reference says of the amplitudes of an effect that its model does not have; None: it has them.
     shared: SharedAmplitudes | None = None
+    #: How amplitudes become values, of an effect that the reference's model does not have.
     proposal: ChangeProposal | None = None
-    known: bool = False
+    known: bool = False  # whether it has it, with other values
 
     @property
     def spec(self) -> str:

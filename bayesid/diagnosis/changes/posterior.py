@@ -11,24 +11,12 @@ from bayesid.diagnosis.changes.evidence import Marginal
 
 @dataclass(frozen=True, eq=False)
 class Amplitudes:
-    """Posterior of the amplitudes of all columns, ``x = start + B c``.
+    """Posterior of the amplitudes of all columns, ``x = start + B c``."""
 
-    Attributes
-    ----------
-    start
-        What is expected beforehand (q,).
-    directions
-        B, combinations of columns of unit variance beforehand (q, k).
-    mean
-        Of c (k,).
-    root
-        Of the covariance of c (k, k).
-    """
-
-    start: np.ndarray
-    directions: np.ndarray
-    mean: np.ndarray
-    root: np.ndarray
+    start: np.ndarray  # what is expected beforehand (q,)
+    directions: np.ndarray  # B, combinations of columns of unit variance beforehand (q, k)
+    mean: np.ndarray  # of c (k,)
+    root: np.ndarray  # of the covariance of c (k, k)
 
     @property
     def all(self) -> np.ndarray:

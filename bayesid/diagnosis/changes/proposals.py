@@ -20,19 +20,12 @@ from bayesid.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class ChangeProposal:
-    """An effect that may have come, with its derivatives at some values as columns.
+    """An effect that may have come, with its derivatives at some values as columns."""
 
-    Attributes
-    ----------
-    effect, about
-        The effect, and what amplitudes of its columns mean.
-    active
-        Which of its columns stand for it (k,); the others are of a shape that is held.
-    """
-
+    #: The effect, and what amplitudes of its columns mean.
     effect: Effect
     about: Linearisation
-    active: np.ndarray
+    active: np.ndarray  # which of its columns stand for it (k,); the others are of a shape that is held
 
     @property
     def term(self) -> Term:
@@ -42,15 +35,9 @@ class ChangeProposal:
 
 @dataclass(frozen=True, repr=False)
 class ProposalRows(RowModel):
-    """Rows about a point with further columns, of effects that the model does not have.
+    """Rows about a point with further columns, of effects that the model does not have."""
 
-    Attributes
-    ----------
-    proposals
-        These effects.
-    """
-
-    proposals: tuple[ChangeProposal, ...] = ()
+    proposals: tuple[ChangeProposal, ...] = ()  # these effects
 
     @property
     def extra_columns(self) -> int:

@@ -25,41 +25,22 @@ _SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class LaterRecording:
-    """The later recording's rows about the reference, each channel in units of what the recording's own fit leaves of it.
+    """The later recording's rows about the reference, each channel in units of what the recording's own fit leaves of it."""
 
-    Attributes
-    ----------
-    problem
-        Its own fit's problem.
-    rows
-        (N, q): columns of the reference's parameters, of bodies attached to each link (ten a body), of the reference's
-        proposals, and of these less what the reference's estimate takes of them.
-    left
-        Readings less what the reference says (N,).
-    times, motions
-        Of the rows (N,) [s], and index of the motion.
-    channel
-        Index of the channel (N,).
-    own
-        What the recording's own fit of the same model leaves (N,): mean square one in every channel, degrees of freedom counted.
-    scale
-        Unit of each channel (c,) [N m or N], times the root of ``samples``.
-    samples
-        How many samples a row stands for.
-    correlation
-        How many rows count as one: dispersion of the own fit between parts of the recording.
-    """
-
-    problem: Problem
+    problem: Problem  # its own fit's problem
+    #: (N, q): columns of the reference's parameters, of bodies attached to each link (ten a body), of the reference's
+    #: proposals, and of these less what the reference's estimate takes of them.
     rows: np.ndarray
-    left: np.ndarray
+    left: np.ndarray  # readings less what the reference says (N,)
+    #: Of the rows (N,) [s], and index of the motion.
     times: np.ndarray
     motions: np.ndarray
-    channel: np.ndarray
+    channel: np.ndarray  # index of the channel (N,)
+    #: What the recording's own fit of the same model leaves (N,): mean square one in every channel, degrees of freedom counted.
     own: np.ndarray
-    scale: np.ndarray
-    samples: float
-    correlation: float
+    scale: np.ndarray  # unit of each channel (c,) [N m or N], times the root of ``samples``
+    samples: float  # how many samples a row stands for
+    correlation: float  # how many rows count as one: dispersion of the own fit between parts of the recording
 
 
 def read_recording(reference: Reference, experiment: Experiment, motions: Sequence[str] | None) -> LaterRecording:

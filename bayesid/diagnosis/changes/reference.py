@@ -46,22 +46,13 @@ _FAINT, _SINGULAR = 1e-4, 1e-9
 
 @dataclass(frozen=True, eq=False)
 class ReferenceAmplitudes:
-    """What the reference says of effects that its model does not have.
+    """What the reference says of effects that its model does not have."""
 
-    Attributes
-    ----------
-    carried
-        S, how its estimate moves with each column's amplitude (p, z).
-    gram, middle
-        ``Z_'WZ_`` and ``Z_'W Sigma W Z_`` (z, z).
-    target
-        ``Z_'W y`` (z,).
-    """
-
-    carried: np.ndarray
+    carried: np.ndarray  # S, how its estimate moves with each column's amplitude (p, z)
+    #: ``Z_'WZ_`` and ``Z_'W Sigma W Z_`` (z, z).
     gram: np.ndarray
     middle: np.ndarray
-    target: np.ndarray
+    target: np.ndarray  # ``Z_'W y`` (z,)
 
     @classmethod
     def of(
@@ -129,14 +120,9 @@ _FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
 
 @dataclass(frozen=True)
 class Reference:
-    """A robot in its known state.
+    """A robot in its known state."""
 
-    Attributes
-    ----------
-    problem, estimate
-        The fit to the reference recording.
-    """
-
+    #: The fit to the reference recording.
     problem: Problem
     estimate: Estimate
 

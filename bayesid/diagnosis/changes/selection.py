@@ -20,58 +20,28 @@ Scores = tuple[tuple[Hypothesis, float], ...]
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """A change that the data demand.
+    """A change that the data demand."""
 
-    Attributes
-    ----------
-    change
-        What changed.
-    size
-        Of its prior, in typical sizes.
-    evidence
-        Log evidence that it adds to what is known and to the other changes.
-    rivals
-        Other changes that would do as well in its place, and by how much log evidence they are behind.
-    lead
-        Log evidence by which the best change of another kind or place is behind, and that change.
-    """
-
-    change: Hypothesis
-    size: float
-    evidence: float
-    rivals: Scores = ()
+    change: Hypothesis  # what changed
+    size: float  # of its prior, in typical sizes
+    evidence: float  # log evidence that it adds to what is known and to the other changes
+    rivals: Scores = ()  # other changes that would do as well in its place, and by how much log evidence they are behind
+    #: Log evidence by which the best change of another kind or place is behind, and that change.
     lead: tuple[Hypothesis, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """The changes found.
+    """The changes found."""
 
-    Attributes
-    ----------
-    data
-        The rows.
-    every
-        All changes that competed.
-    tolerance
-        What is known: combinations of columns of unit variance (q, k), by the factor by which it is wider than usual.
-    accepted
-        Changes, in the order found.
-    factor
-        By which links and friction are further from the reference than they usually are, beside them.
-    scores
-        Log evidence of every change on its own.
-    beyond
-        What others add to those accepted.
-    """
-
-    data: Reduced
-    every: tuple[Hypothesis, ...]
+    data: Reduced  # the rows
+    every: tuple[Hypothesis, ...]  # all changes that competed
+    #: What is known: combinations of columns of unit variance (q, k), by the factor by which it is wider than usual.
     tolerance: dict[float, np.ndarray]
-    accepted: tuple[Accepted, ...] = ()
-    factor: float = 1.0
-    scores: Scores = ()
-    beyond: Scores = ()
+    accepted: tuple[Accepted, ...] = ()  # changes, in the order found
+    factor: float = 1.0  # by which links and friction are further from the reference than they usually are, beside them
+    scores: Scores = ()  # log evidence of every change on its own
+    beyond: Scores = ()  # what others add to those accepted
 
     def marginal(self, accepted: Iterable[Accepted] | None = None, factor: float | None = None) -> Marginal:
         """The data with some of the changes (default all) and a tolerance so many times as wide integrated out."""

@@ -26,18 +26,10 @@ from bayesid.diagnosis.description.shapes import (
 
 @dataclass(frozen=True)
 class CandidateTerm:
-    """A shape in some readings, with an amplitude in each.
+    """A shape in some readings, with an amplitude in each."""
 
-    Attributes
-    ----------
-    shape
-        What it is.
-    channels
-        Indices of the readings.
-    """
-
-    shape: Shape
-    channels: tuple[int, ...]
+    shape: Shape  # what it is
+    channels: tuple[int, ...]  # indices of the readings
 
     @property
     def size(self) -> int:

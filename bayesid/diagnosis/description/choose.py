@@ -25,30 +25,15 @@ _TERMS, _ADAPTED, _COMPARED = 3, 10, 40
 
 @dataclass(frozen=True)
 class Chosen:
-    """A candidate that was taken.
+    """A candidate that was taken."""
 
-    Attributes
-    ----------
-    candidate
-        With its numbers adapted.
-    evidence
-        Log evidence that it adds on the first half, the number of candidates counted.
-    share
-        Share of what was left on the second half that it closes there, with amplitudes of the first.
-    share_low
-        Lower end of the one-sided 95 % interval of that, by bootstrap over blocks of time.
-    alike
-        Other candidates that are no worse there than what counts as a rival, best first, with the log evidence they lack.
-    library
-        The same for effects of the library.
-    """
-
-    candidate: CandidateTerm
-    evidence: float
-    share: float
-    share_low: float
+    candidate: CandidateTerm  # with its numbers adapted
+    evidence: float  # log evidence that it adds on the first half, the number of candidates counted
+    share: float  # share of what was left on the second half that it closes there, with amplitudes of the first
+    share_low: float  # lower end of the one-sided 95 % interval of that, by bootstrap over blocks of time
+    #: Other candidates that are no worse there than what counts as a rival, best first, with the log evidence they lack.
     alike: tuple[tuple[CandidateTerm, float], ...] = ()
-    library: tuple[tuple[Effect, float], ...] = ()
+    library: tuple[tuple[Effect, float], ...] = ()  # the same for effects of the library
 
 
 def choose(

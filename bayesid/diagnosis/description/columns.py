@@ -32,23 +32,12 @@ _LEFT = 0.02
 
 @dataclass(frozen=True, eq=False)
 class SegmentPart:
-    """Some of a segment's samples.
+    """Some of a segment's samples."""
 
-    Attributes
-    ----------
-    segment
-        Of the recording.
-    variables
-        What formulas may name, on the segment's grid (M,).
-    rows
-        Which of the segment's K white samples (k,).
-    kept
-        Coefficients of shapes that were asked for, by their texts and channel; -1 for those of a sensor, whose weights are one.
-    """
-
-    segment: Segment
-    variables: Mapping[str, np.ndarray]
-    rows: np.ndarray
+    segment: Segment  # of the recording
+    variables: Mapping[str, np.ndarray]  # what formulas may name, on the segment's grid (M,)
+    rows: np.ndarray  # which of the segment's K white samples (k,)
+    #: Coefficients of shapes that were asked for, by their texts and channel; -1 for those of a sensor, whose weights are one.
     kept: dict[tuple[tuple[str, ...], int], np.ndarray] = field(default_factory=dict, repr=False)
 
     def values(self, shapes: Sequence[Shape]) -> np.ndarray:
@@ -107,24 +96,13 @@ class SegmentPart:
 
 @dataclass(frozen=True, eq=False)
 class Half:
-    """Some of the fitted recordings, with what links and effects found explain in them.
+    """Some of the fitted recordings, with what links and effects found explain in them."""
 
-    Attributes
-    ----------
-    segments
-        All fitted recordings.
-    parts
-        Of those that are in this half.
-    basis
-        Orthonormal columns of the links, the offset and the effects found, with their prior beneath (rows + m, b).
-    residual
-        What they leave of the readings, with the prior beneath (rows + m,).
-    """
-
-    segments: tuple[Segment, ...]
-    parts: tuple[SegmentPart, ...]
+    segments: tuple[Segment, ...]  # all fitted recordings
+    parts: tuple[SegmentPart, ...]  # of those that are in this half
+    #: Orthonormal columns of the links, the offset and the effects found, with their prior beneath (rows + m, b).
     basis: np.ndarray
-    residual: np.ndarray
+    residual: np.ndarray  # what they leave of the readings, with the prior beneath (rows + m,)
 
     @cached_property
     def rows(self) -> int:

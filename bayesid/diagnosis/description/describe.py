@@ -124,39 +124,17 @@ _MOVES = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """A draft effect for what no effect of the library explains: a description, not a name.
+    """A draft effect for what no effect of the library explains: a description, not a name."""
 
-    Attributes
-    ----------
-    term
-        The draft with its amplitudes.
-    std
-        Their standard deviations.
-    table
-        Its formulas, as in ``[model.expressions]``.
-    terms
-        What was chosen, one after the other.
-    causes
-        What each may be physically.
-    start
-        The model that it is beside.
-    fit
-        That model with the draft.
-    gap
-        On motions that were never fitted, without and with the draft; None where there are none.
-    candidates
-        How many were tried.
-    """
-
-    term: Term
-    std: np.ndarray
-    table: dict[str, Any]
-    terms: tuple[Chosen, ...]
-    causes: tuple[tuple[str, ...], ...]
-    start: Fit
-    fit: Fit
-    gap: Gap | None
-    candidates: int
+    term: Term  # the draft with its amplitudes
+    std: np.ndarray  # their standard deviations
+    table: dict[str, Any]  # its formulas, as in ``[model.expressions]``
+    terms: tuple[Chosen, ...]  # what was chosen, one after the other
+    causes: tuple[tuple[str, ...], ...]  # what each may be physically
+    start: Fit  # the model that it is beside
+    fit: Fit  # that model with the draft
+    gap: Gap | None  # on motions that were never fitted, without and with the draft; None where there are none
+    candidates: int  # how many were tried
 
 
 def describe(base: Fit, starts: Sequence[Fit], library: Library | None, seed: int = 0) -> Description | None:

@@ -20,30 +20,14 @@ _UNITS = {"q": "rad", "v": "rad/s", "a": "rad/s^2", "tau": "N m", "f": "N", "m":
 
 @dataclass(frozen=True)
 class ShapeFactor:
-    """One function of one variable.
+    """One function of one variable."""
 
-    Attributes
-    ----------
-    form
-        With ``{x}`` for the variable and ``{n}`` for the number.
-    variable
-        As in formulas: ``q2``, ``dir1``, ``tau3``, ``mx``, ``t``.
-    kind
-        What sort of function it is, for what it may be physically.
-    power
-        Power of the variable's unit in it.
-    number
-        What can be adapted in it, a width, a threshold or a rate; None where there is nothing.
-    step
-        How far the number is changed first when it is adapted.
-    """
-
-    form: str
-    variable: str
-    kind: Kind
-    power: int = 0
-    number: float | None = None
-    step: float = 0.0
+    form: str  # with ``{x}`` for the variable and ``{n}`` for the number
+    variable: str  # as in formulas: ``q2``, ``dir1``, ``tau3``, ``mx``, ``t``
+    kind: Kind  # what sort of function it is, for what it may be physically
+    power: int = 0  # power of the variable's unit in it
+    number: float | None = None  # what can be adapted in it, a width, a threshold or a rate; None where there is nothing
+    step: float = 0.0  # how far the number is changed first when it is adapted
 
     @cached_property
     def text(self) -> str:
@@ -62,15 +46,9 @@ class ShapeFactor:
 
 @dataclass(frozen=True)
 class Shape:
-    """One product of factors, or two of which each has its amplitude (a sine and a cosine).
+    """One product of factors, or two of which each has its amplitude (a sine and a cosine)."""
 
-    Attributes
-    ----------
-    products
-        The factors of each.
-    """
-
-    products: tuple[tuple[ShapeFactor, ...], ...]
+    products: tuple[tuple[ShapeFactor, ...], ...]  # the factors of each
 
     @cached_property
     def texts(self) -> tuple[str, ...]:

@@ -26,41 +26,23 @@ class BodyCertificate:
 
 @dataclass(frozen=True)
 class Certificate:
-    """The certificate of an optimum as plain numbers; see `bayesid.estimators.conic.problem.Solution`.
+    """The certificate of an optimum as plain numbers; see `bayesid.estimators.conic.problem.Solution`."""
 
-    Attributes
-    ----------
-    certified
-        Whether gap, violation and residual are below their limits.
-    objective, lower_bound, relative_gap
-        Of the optimum: its value here, and what no feasible point can be below.
-    largest_error_std
-        How far the optimum can be, in standard deviations.
-    primal_violation, dual_residual, complementarity, iterations
-        Residuals of the optimality conditions, and iterations of the solver.
-    margin
-        How far inside the boundary every body is kept, relative to its size.
-    bodies
-        By name.
-    on_boundary
-        Names of bodies on the boundary of those that can exist.
-    active_bounds
-        Names of bounds that hold with equality and push.
-    """
-
-    certified: bool
+    certified: bool  # whether gap, violation and residual are below their limits
+    #: Of the optimum: its value here, and what no feasible point can be below.
     objective: float
     lower_bound: float
     relative_gap: float
-    largest_error_std: float
+    largest_error_std: float  # how far the optimum can be, in standard deviations
+    #: Residuals of the optimality conditions, and iterations of the solver.
     primal_violation: float
     dual_residual: float
     complementarity: float
     iterations: int
-    margin: float
-    bodies: dict[str, BodyCertificate]
-    on_boundary: tuple[str, ...]
-    active_bounds: tuple[str, ...]
+    margin: float  # how far inside the boundary every body is kept, relative to its size
+    bodies: dict[str, BodyCertificate]  # by name
+    on_boundary: tuple[str, ...]  # names of bodies on the boundary of those that can exist
+    active_bounds: tuple[str, ...]  # names of bounds that hold with equality and push
 
     @classmethod
     def of(cls, problem: Conic, solution: Solution, names: Sequence[str]) -> Certificate:
@@ -88,27 +70,13 @@ class Certificate:
 
 @dataclass(frozen=True)
 class PhysicsTest:
-    """Whether the unconstrained estimate and bodies that can exist are further apart than noise explains.
+    """Whether the unconstrained estimate and bodies that can exist are further apart than noise explains."""
 
-    Attributes
-    ----------
-    distance
-        Squared, in units of the noise.
-    directions
-        Number of determined combinations that the constraints speak of.
-    probability_at_most
-        Upper bound on the probability of such a distance when bodies can exist.
-    data_contradict_physics
-        Whether that is below `CONTRADICTION`.
-    tested
-        Whether the nearest body that can exist was found.
-    """
-
-    distance: float
-    directions: int
-    probability_at_most: float
-    data_contradict_physics: bool
-    tested: bool
+    distance: float  # squared, in units of the noise
+    directions: int  # number of determined combinations that the constraints speak of
+    probability_at_most: float  # upper bound on the probability of such a distance when bodies can exist
+    data_contradict_physics: bool  # whether that is below `CONTRADICTION`
+    tested: bool  # whether the nearest body that can exist was found
 
     @classmethod
     def of(cls, distance: float, directions: int, tested: bool) -> PhysicsTest:

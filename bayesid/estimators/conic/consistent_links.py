@@ -60,37 +60,20 @@ _SMALLEST = 1e-12
 
 @dataclass(frozen=True)
 class ConsistentLinks:
-    """Possible links, and how far from the estimate they are.
+    """Possible links, and how far from the estimate they are."""
 
-    Attributes
-    ----------
-    links
-        Ten parameters a body (10 b,).
-    solution
-        Their base parameters, and the effects that go with them (p,).
-    distance, allowed
-        Joint distance of the base parameters from the estimate [sigma], and the radius of their ellipsoid; None where the
-        estimate has no covariance.
-    directions
-        Number of base parameters that have one.
-    largest
-        Base parameter that moved by most of its own standard deviations, and by how many; None without a covariance.
-    inside
-        Whether the base parameters stay in their ellipsoid; False: those of no possible links do.
-    on_boundary
-        Links at the edge of what can exist, that the data would push beyond.
-    conflicts
-        Where not inside: base parameters that had to move by more than `NAMED` standard deviations, the furthest first.
-    """
-
-    links: np.ndarray
-    solution: np.ndarray
+    links: np.ndarray  # ten parameters a body (10 b,)
+    solution: np.ndarray  # their base parameters, and the effects that go with them (p,)
+    #: Joint distance of the base parameters from the estimate [sigma], and the radius of their ellipsoid; None where the
+    #: estimate has no covariance.
     distance: float | None
     allowed: float | None
-    directions: int
+    directions: int  # number of base parameters that have one
+    #: Base parameter that moved by most of its own standard deviations, and by how many; None without a covariance.
     largest: tuple[str, float] | None
-    inside: bool
-    on_boundary: tuple[str, ...]
+    inside: bool  # whether the base parameters stay in their ellipsoid; False: those of no possible links do
+    on_boundary: tuple[str, ...]  # links at the edge of what can exist, that the data would push beyond
+    #: Where not inside: base parameters that had to move by more than `NAMED` standard deviations, the furthest first.
     conflicts: tuple[tuple[str, float], ...]
 
 

@@ -16,21 +16,13 @@ from bayesid.robot.prior import Prior
 
 @dataclass(frozen=True)
 class LinkData:
-    """What the rows say, in units of their noise: ``matrix @ x ~ target`` with unit covariance.
+    """What the rows say, in units of their noise: ``matrix @ x ~ target`` with unit covariance."""
 
-    Attributes
-    ----------
-    matrix, target
-        Of x: link parameters, then effects (k, n), (k,).
-    size
-        Number of link parameters.
-    bodies, names
-        Ten columns of each body, and its name.
-    """
-
+    #: Of x: link parameters, then effects (k, n), (k,).
     matrix: np.ndarray
     target: np.ndarray
-    size: int
+    size: int  # number of link parameters
+    #: Ten columns of each body, and its name.
     bodies: tuple[tuple[int, ...], ...]
     names: tuple[str, ...]
 

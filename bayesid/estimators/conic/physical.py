@@ -213,32 +213,15 @@ class Closest:
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicalDetails(Details):
-    """What a physically consistent estimate says.
+    """What a physically consistent estimate says."""
 
-    Attributes
-    ----------
-    weights
-        ``noise`` or ``channel``.
-    prior
-        The nominal model and its strength; ``trust`` in ``estimate.json``.
-    closest
-        With `Physical.closest`.
-    misfit
-        Squared distance from the unconstrained estimate, in units of the noise.
-    physics
-        Whether the data contradict physics.
-    certificate
-        Of the optimum.
-    covariance_of
-        ``data and nominal model`` or ``data``; None: there is no covariance.
-    """
-
-    weights: str
-    prior: LinkPrior = field(metadata={"key": "trust"})
-    closest: Closest | None = field(default=None, metadata=OPTIONAL)
-    misfit: float
-    physics: PhysicsTest
-    certificate: Certificate
+    weights: str  # ``noise`` or ``channel``
+    prior: LinkPrior = field(metadata={"key": "trust"})  # the nominal model and its strength; ``trust`` in ``estimate.json``
+    closest: Closest | None = field(default=None, metadata=OPTIONAL)  # with `Physical.closest`
+    misfit: float  # squared distance from the unconstrained estimate, in units of the noise
+    physics: PhysicsTest  # whether the data contradict physics
+    certificate: Certificate  # of the optimum
+    #: ``data and nominal model`` or ``data``; None: there is no covariance.
     covariance_of: str | None = field(default=None, metadata=OPTIONAL)
 
 

@@ -41,39 +41,17 @@ _TYPICAL_STD = 10.0
 
 @dataclass(frozen=True)
 class LinkPrior:
-    """A nominal model and its precision.
+    """A nominal model and its precision."""
 
-    Attributes
-    ----------
-    mean
-        Nominal link parameters (P,).
-    root
-        W with ``W'W`` the precision (q, P).
-    references
-        Pseudo-inertia of each nominal body, thickened where it has no extent (b, 4, 4).
-    metric
-        ``warped``, ``pullback``, ``euclidean`` or ``entropic``.
-    rel_std
-        s; None where a precision of one's own is given.
-    stated
-        Whether s was stated, not found from the data.
-    rule
-        Where s is from, in words.
-    check
-        How far the data are from the nominal model, given s; None where they determine nothing.
-    end
-        ``smallest`` or ``largest`` where the search for s stopped at that end of its range, else None.
-    """
-
-    mean: np.ndarray
-    root: np.ndarray
-    references: np.ndarray
-    metric: str
-    rel_std: float | None
-    stated: bool
-    rule: str
-    check: PriorCheck | None = None
-    end: str | None = None
+    mean: np.ndarray  # nominal link parameters (P,)
+    root: np.ndarray  # W with ``W'W`` the precision (q, P)
+    references: np.ndarray  # pseudo-inertia of each nominal body, thickened where it has no extent (b, 4, 4)
+    metric: str  # ``warped``, ``pullback``, ``euclidean`` or ``entropic``
+    rel_std: float | None  # s; None where a precision of one's own is given
+    stated: bool  # whether s was stated, not found from the data
+    rule: str  # where s is from, in words
+    check: PriorCheck | None = None  # how far the data are from the nominal model, given s; None where they determine nothing
+    end: str | None = None  # ``smallest`` or ``largest`` where the search for s stopped at that end of its range, else None
 
     @property
     def probability(self) -> float:

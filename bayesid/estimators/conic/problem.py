@@ -37,47 +37,25 @@ _ROOT = np.where(_UP == _RIGHT, 1.0, np.sqrt(2.0))
 
 @dataclass(frozen=True)
 class Linear:
-    """A named group of bounds ``matrix @ x >= low``.
+    """A named group of bounds ``matrix @ x >= low``."""
 
-    Attributes
-    ----------
-    name
-        What a person calls it, with its numbers.
-    matrix, low
-        (k, n), (k,).
-    """
-
-    name: str
+    name: str  # what a person calls it, with its numbers
+    #: (k, n), (k,).
     matrix: np.ndarray
     low: np.ndarray
 
 
 @dataclass(frozen=True)
 class Conic:
-    """The problem.
+    """The problem."""
 
-    Attributes
-    ----------
-    factor
-        C, (n, n), upper triangular and regular.
-    centre
-        m, where the objective is zero (n,).
-    bodies
-        Columns of every body's ten parameters, in `bayesid.robot.inertia.PARAMETERS`' order.
-    references
-        Pseudo-inertias S_i that bodies are measured with, such as the nominal ones (b, 4, 4), positive definite.
-    bounds
-        Linear bounds.
-    margin
-        eps; see `MARGIN`.
-    """
-
-    factor: np.ndarray
-    centre: np.ndarray
-    bodies: tuple[tuple[int, ...], ...]
+    factor: np.ndarray  # C, (n, n), upper triangular and regular
+    centre: np.ndarray  # m, where the objective is zero (n,)
+    bodies: tuple[tuple[int, ...], ...]  # columns of every body's ten parameters, in `bayesid.robot.inertia.PARAMETERS`' order
+    #: Pseudo-inertias S_i that bodies are measured with, such as the nominal ones (b, 4, 4), positive definite.
     references: np.ndarray
-    bounds: tuple[Linear, ...] = ()
-    margin: float = MARGIN
+    bounds: tuple[Linear, ...] = ()  # linear bounds
+    margin: float = MARGIN  # eps; see `MARGIN`
 
     @cached_property
     def congruences(self) -> np.ndarray:
@@ -161,43 +139,20 @@ def project_dual(problem: Conic, z: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Solution:
-    """A point, its multipliers and what they certify.
+    """A point, its multipliers and what they certify."""
 
-    Attributes
-    ----------
-    x
-        (n,).
-    multipliers
-        z of the scaled constraints, projected onto the dual cone (k,).
-    objective, bound
-        1/2 ||C (x - m)||^2, and the lower bound d(z) on what any feasible point has.
-    violation
-        Largest violation of a scaled constraint (relative to the body's size), 0 inside.
-    stationarity
-        ||C (x - m) - C^-T B' z||, in standard deviations, relative to 1 + ||C (x - m)||.
-    complementarity
-        z'(B x - c), relative to 1 + objective.
-    eigenvalues
-        Of the scaled pseudo-inertias, margin included (b, 4).
-    ranks
-        Of the pseudo-inertias; below 4: the body is on the boundary of those that can exist (b,).
-    active
-        Names of the bounds that hold with equality and push.
-    iterations
-        Of the interior-point method; 0: the unconstrained minimiser is inside.
-    """
-
-    x: np.ndarray
-    multipliers: np.ndarray
+    x: np.ndarray  # (n,)
+    multipliers: np.ndarray  # z of the scaled constraints, projected onto the dual cone (k,)
+    #: 1/2 ||C (x - m)||^2, and the lower bound d(z) on what any feasible point has.
     objective: float
     bound: float
-    violation: float
-    stationarity: float
-    complementarity: float
-    eigenvalues: np.ndarray
-    ranks: np.ndarray
-    active: tuple[str, ...]
-    iterations: int
+    violation: float  # largest violation of a scaled constraint (relative to the body's size), 0 inside
+    stationarity: float  # ||C (x - m) - C^-T B' z||, in standard deviations, relative to 1 + ||C (x - m)||
+    complementarity: float  # z'(B x - c), relative to 1 + objective
+    eigenvalues: np.ndarray  # of the scaled pseudo-inertias, margin included (b, 4)
+    ranks: np.ndarray  # of the pseudo-inertias; below 4: the body is on the boundary of those that can exist (b,)
+    active: tuple[str, ...]  # names of the bounds that hold with equality and push
+    iterations: int  # of the interior-point method; 0: the unconstrained minimiser is inside
 
     @property
     def gap(self) -> float:

@@ -36,15 +36,9 @@ _DETERMINED = 1e-10
 
 @dataclass(frozen=True)
 class Directions:
-    """Directions of the parameters that all rows together determine.
+    """Directions of the parameters that all rows together determine."""
 
-    Attributes
-    ----------
-    basis
-        T (p, r), in which the unweighted factor is orthonormal.
-    """
-
-    basis: np.ndarray
+    basis: np.ndarray  # T (p, r), in which the unweighted factor is orthonormal
 
     @classmethod
     def of(cls, matrix: np.ndarray) -> Directions:

@@ -407,31 +407,18 @@ _FIRST_NU = 4.0
 
 @dataclass(frozen=True, kw_only=True)
 class RobustDetails(Details):
-    """What both robust estimators say.
+    """What both robust estimators say."""
 
-    Attributes
-    ----------
-    rule
-        Where the loss's parameter is from.
-    scale
-        Scale of the residuals, in units of the noise.
-    rejected_share
-        Share of all rows that were rejected.
-    rejected_windows
-        Times of the first and the last row of each rejected window, by recording [s].
-    mean_weight_of_accepted_rows, rows_per_segment, iterations
-        Of the fit; the number of rows is ``rows_per_stretch`` in ``estimate.json``.
-    diverged, divergence
-        Whether the fit cannot be right, and why.
-    """
-
-    rule: str
-    scale: float
-    rejected_share: float
+    rule: str  # where the loss's parameter is from
+    scale: float  # scale of the residuals, in units of the noise
+    rejected_share: float  # share of all rows that were rejected
+    #: Times of the first and the last row of each rejected window, by recording [s].
     rejected_windows: dict[str, list[list[float]]]
+    #: Of the fit; the number of rows is ``rows_per_stretch`` in ``estimate.json``.
     mean_weight_of_accepted_rows: float
     rows_per_segment: int = field(metadata={"key": "rows_per_stretch"})
     iterations: int
+    #: Whether the fit cannot be right, and why.
     diverged: bool
     divergence: tuple[str, ...] = ()
 

@@ -32,31 +32,16 @@ _IMPULSE = 4096
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals of all rows, and what is known of each row.
+    """Residuals of all rows, and what is known of each row."""
 
-    Attributes
-    ----------
-    values
-        (N, channels).
-    times, motion
-        (N,) [s] and index of the recording.
-    run
-        (N,) gap-free pieces of recordings.
-    segment
-        (N,) segments; a pose is one of its own.
-    poses
-        (N,) whether the row is one of separate poses.
-    sizes
-        Number of rows of each block.
-    """
-
-    values: np.ndarray
+    values: np.ndarray  # (N, channels)
+    #: (N,) [s] and index of the recording.
     times: np.ndarray
     motion: np.ndarray
-    run: np.ndarray
-    segment: np.ndarray
-    poses: np.ndarray
-    sizes: tuple[int, ...]
+    run: np.ndarray  # (N,) gap-free pieces of recordings
+    segment: np.ndarray  # (N,) segments; a pose is one of its own
+    poses: np.ndarray  # (N,) whether the row is one of separate poses
+    sizes: tuple[int, ...]  # number of rows of each block
 
     @property
     def count(self) -> int:
