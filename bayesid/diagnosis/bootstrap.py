@@ -13,23 +13,9 @@ _DRAWS = 999
 
 
 def lower_end(blocks: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], settings: Settings, seed: int) -> np.ndarray:
-    """Lower end of the one-sided 95 % interval (`Settings.interval`) of what depends on sums over blocks.
+    """Lower end of the one-sided 95 % interval (`Settings.interval`) of a statistic of sums over blocks of time (b, k).
 
-    Parameters
-    ----------
-    blocks
-        What is summed, by block of time (b, k).
-    statistic
-        From sums (draws, k) to what is asked for (draws, ...).
-    settings
-        ``interval`` counts here.
-    seed
-        Of the draws.
-
-    Returns
-    -------
-    lower end
-        (...).
+    The statistic takes drawn sums (draws, k) and gives what is asked for (draws, ...); the seed is that of the draws.
     """
     picks = np.random.default_rng(seed).integers(len(blocks), size=(_DRAWS, len(blocks)))
     return np.quantile(statistic(blocks[picks].sum(axis=1)), 1.0 - settings.interval, axis=0)

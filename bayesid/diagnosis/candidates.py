@@ -28,12 +28,7 @@ from bayesid.effects.surroundings import surroundings_of
 class RippleScan:
     """Spectra of sines and cosines of the joints' positions, made once.
 
-    Parameters
-    ----------
-    data
-        The recordings.
-    effects
-        One a joint, with the same `Effect.harmonics`, in the order of the joints whose torques are compared.
+    The effects, one a joint, share `Effect.harmonics` and stand in the order of the joints whose torques are compared.
     """
 
     def __init__(self, data: DiagnosisData, effects: Sequence[Effect]):
@@ -158,13 +153,6 @@ class Library:
         """Proposals beside a fit with effects whose values are tried as a last resort among them, best gain first.
 
         Such as flexible joints that resonate in the motion's band, of which a derivative says nothing; it takes a while.
-
-        Parameters
-        ----------
-        proposals
-            From `propose` beside the same fit.
-        fit
-            What the effects are sought beside.
         """
         best = {p.name: p for p in proposals}
         for term, gain in self._tried(fit, self._taken(fit), self._last_changes):

@@ -35,15 +35,10 @@ def pulse(times: np.ndarray, start: float, end: float) -> np.ndarray:
 
 
 def is_excuse(best: Fit, index: int) -> bool:
-    """Whether a contact found is no more than an excuse for something else.
+    """Whether a contact found is no more than an excuse for something else; False for all that is no contact.
 
     It does not act in held-out motions, so nothing there can deny it. So it must end inside the recording, and last for no more
     than half of the motion, longer than not; what lasts longer has to be an effect that is there in other motions, too.
-
-    Parameters
-    ----------
-    best, index
-        The model, and which of its effects; False for all that is no contact.
     """
     term = best.terms[index]
     if not (isinstance(term, Episode) and isinstance(term.effect, ExternalContact)):

@@ -26,22 +26,11 @@ def with_noise(
     position_std: np.ndarray,
     rng: np.random.Generator,
 ) -> Segment:
-    """The segment with the covariance of its coefficients.
+    """The segment with the covariance of its coefficients: the sensor's noise, and what encoder errors make of predictions.
 
-    Parameters
-    ----------
-    segment
-        A recording.
-    predict
-        Readings predicted for a segment (N, c).
-    resmooth
-        The segment with other encoder readings (N, n).
-    sensor
-        Standard deviation of white noise of one sample (c,), or the covariance of a sample for every coefficient (K, c, c).
-    resolution, position_std
-        One encoder count and random noise on top, by joint (n,) [rad or m].
-    rng
-        For the roundings.
+    ``predict`` gives readings of a segment (N, c), ``resmooth`` the segment with other encoder readings (N, n). ``sensor`` is
+    the standard deviation of white noise of one sample (c,), or the covariance of a sample for every coefficient (K, c, c); one
+    encoder count and random noise on top are by joint (n,) [rad or m].
     """
     exact, settings = predict(segment), segment.settings
     smoothed_positions = segment.encoders

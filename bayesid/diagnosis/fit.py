@@ -72,15 +72,7 @@ class Fit:
     derivatives: Mapping[Effect, Derivatives]  # of the readings, by effect that is fitted
 
     def std(self, index: int, dispersion: float) -> np.ndarray:
-        """Standard deviations of one term's free parameters; infinite where the data do not determine them.
-
-        Parameters
-        ----------
-        index
-            Of the term.
-        dispersion
-            That the covariance is multiplied by.
-        """
+        """Standard deviations of one term's free parameters, by its index; infinite where the data do not determine them."""
         at = [column for column, (owner, _) in enumerate(self.free) if owner == index]
         std = np.sqrt(np.maximum(dispersion * np.diag(self.covariance)[at], 0.0))
         return np.where(self.determined[at], std, np.inf)
@@ -260,18 +252,9 @@ def is_another(data: DiagnosisData, terms: Sequence[Term]) -> bool:
 
 
 def fit(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None, steps: int | None = None) -> Fit:
-    """Fit links, offset and the effects' free parameters.
+    """Fit links, offset and the effects' free parameters from their starting values, links and offset from those of ``start``.
 
-    Parameters
-    ----------
-    projector
-        The columns that are always in.
-    terms
-        Effects with starting values.
-    start
-        A fit whose links and offset to start from.
-    steps
-        At most this many Gauss-Newton steps; default `STEPS`.
+    At most ``steps`` Gauss-Newton steps are taken; default `STEPS`.
     """
     return finish(advance(begin(projector, terms, start), STEPS if steps is None else steps))
 
@@ -309,16 +292,8 @@ def price(data: DiagnosisData, rows: int, terms: Sequence[Term], free: Sequence[
 
         sum of [l y^2 / (1 + w^2 l) + log(1 + w^2 l)] / 2,  and the logarithm of the number of widths tried.
 
-    Parameters
-    ----------
-    data
-        The nominal links.
-    rows
-        How many rows are data.
-    terms, free
-        The effects, and (term, parameter) of what is fitted.
-    kept
-        What links and offset leave of its columns, whitened, or a triangular factor of that (rows, k).
+    ``free`` holds (term, parameter) of what is fitted, and ``kept`` what links and offset leave of its columns, whitened, or a
+    triangular factor of that (rows, k).
     """
     total = 0.0
     for i, t in enumerate(terms):

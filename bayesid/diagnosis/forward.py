@@ -48,14 +48,7 @@ class State:
 def forward_selection(state: State, progress: Callable[[str], None], first: Sequence[Proposal] | None = None) -> State:
     """Add effects while the data demand them, and say anew what nothing explains.
 
-    Parameters
-    ----------
-    state
-        Where to start.
-    progress
-        Called with the name of every phase as it begins.
-    first
-        Proposals beside the state's best model, where they are made already.
+    ``progress`` is called with the name of every phase; ``first`` are proposals beside the best model, if made already.
     """
     settings = state.settings
     state = measured_dispersion(state)
@@ -124,24 +117,10 @@ def _families(library: Library, proposals: Sequence[Proposal], dispersion: float
 def exact_fits(
     models: NoiseModels, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], dispersion: float, most: int = _FITTED
 ) -> tuple[NoiseModels, list[Fit]]:
-    """Exact fits of the most promising proposals beside the effects held, each under its own noise, best first.
+    """Exact fits of the ``most`` promising proposals beside the effects held, each under its own noise, best first.
 
-    Diverged models are left out, and those that are far behind the best after a few steps.
-
-    Parameters
-    ----------
-    models
-        The noise that models make.
-    start
-        A fit of the effects held.
-    held
-        Those effects.
-    proposals
-        Effects that may come in.
-    dispersion
-        The dispersion factor.
-    most
-        How many proposals to fit.
+    Diverged models are left out, and those that are far behind the best after a few steps. ``start`` is a fit of the effects
+    held.
     """
     settings = start.projector.data.settings
     terms = [term for p in _shortlist(proposals, dispersion, settings, most) for term in (p.term, *p.others)]

@@ -160,20 +160,10 @@ def scaled(data: DiagnosisData, square: np.ndarray) -> DiagnosisData:
 def held_out_sums(
     data: DiagnosisData, root: np.ndarray, best: Fit, candidates: Sequence[Term], weight: np.ndarray
 ) -> HeldOutSums:
-    """Reduce all recordings, the validation motions among them.
+    """Reduce all recordings, as `scaled` gives them, the validation motions among them.
 
-    Parameters
-    ----------
-    data
-        As `scaled` gives it.
-    root
-        Of the links' prior, see `NuisanceProjector`.
-    best
-        The best attempt.
-    candidates
-        Effects that may come in, at the values where their columns are taken.
-    weight
-        What the best attempt leaves of each channel over what the user's model leaves of it, root mean squares (c,).
+    ``root`` is that of the links' prior (`NuisanceProjector`). Candidates' columns are taken at their values. ``weight`` is
+    what the best attempt leaves of each channel over what the user's model leaves of it, root mean squares (c,).
     """
     segments = (*data.segments, *data.unseen)
     blocks, shown, names, counts = [], [], [], []

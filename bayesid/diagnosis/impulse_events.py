@@ -44,12 +44,7 @@ class Event:
 def short_events(segments: Sequence[Segment], level: float) -> tuple[tuple[Event, ...], ...]:
     """Events of each segment; none of a static run, whose samples may be means over long times.
 
-    Parameters
-    ----------
-    segments
-        Recordings.
-    level
-        Probability of a false alarm over all of them.
+    ``level`` is the probability of a false alarm over all of them.
     """
     moving = [s for s in segments if not s.still and _band(s) is not None]
     if not moving:

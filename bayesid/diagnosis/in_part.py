@@ -48,13 +48,7 @@ class ChannelGroup:
 
 
 def channel_groups(s: Search) -> tuple[ChannelGroup, ...]:
-    """The effects found by the channels that they act in, and what is closed there.
-
-    Parameters
-    ----------
-    s
-        With the effects found as those of its best model.
-    """
+    """The effects found by the channels that they act in, and what is closed there."""
     users, left = len(s.base.terms), (left_by(s.projector.data, s.base), left_by(s.projector.data, s.best))
     data = scaled(s.projector.data, left[1])
     weight, names = np.sqrt(left[1] / left[0]), np.array(data.channels.names)
@@ -140,15 +134,7 @@ class InPart:
 
 
 def proven_effects(s: Search, seed: int) -> InPart | None:
-    """The effects that are proven although something stays unexplained; None where none is.
-
-    Parameters
-    ----------
-    s
-        What the search found.
-    seed
-        Of the bootstrap over blocks of time.
-    """
+    """The effects that are proven although something stays unexplained, None where none is; the seed is the bootstrap's."""
     part = _proven(s, seed, None)
     exact = tuple(_exact(part.search)) if part else ()
     # Values have moved since the columns were taken, and the less is left, the smaller the effects that stand out of it: anew
@@ -326,13 +312,7 @@ def _confirmable(effect: Effect) -> bool:
 
 
 def with_white_noise(s: Search) -> Search:
-    """The same effects with the same values and covariance, and the user's model fitted anew.
-
-    Parameters
-    ----------
-    s
-        With the proven effects as its best model.
-    """
+    """The proven effects of a search with the same values and covariance, and the user's model fitted anew."""
     data = scaled(s.projector.data, mean_noise(s.projector.data))
     users, found = s.base.terms, s.best.terms
     base, projector = fit(make_projector(data, users), users, s.base), make_projector(data, found)

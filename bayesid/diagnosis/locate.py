@@ -66,19 +66,12 @@ def locate(
 ) -> tuple[Disagreement, ...]:
     """Channels and times with more residual than noise explains, and short events of all motions.
 
-    Coefficients are white, so the energy of a window of a channel is close to chi-squared with as many degrees of
-    freedom as coefficients fall to its share, whatever the colour of the noise was; Bonferroni's bound covers all
-    windows looked at, long and short, which are then merged. Encoders' counts are no steady noise: for moments they err
-    more than on average. A short window alone must therefore stand out of the other short ones, too.
+    Coefficients are white, so the energy of a window of a channel is close to chi-squared with as many degrees of freedom as
+    coefficients fall to its share, whatever the colour of the noise was; Bonferroni's bound covers all windows looked at, long
+    and short, which are then merged. Encoders' counts are no steady noise: for moments they err more than on average. A short
+    window alone must therefore stand out of the other short ones, too.
 
-    Parameters
-    ----------
-    case
-        What is compared.
-    segments, white
-        Recordings and their whitened residuals (K, c).
-    dispersion
-        Mean square of what counts as noise.
+    ``white`` are the segments' whitened residuals (K, c), and ``dispersion`` is the mean square of what counts as noise.
     """
     looked = places_looked_at(segments)
     found = []
@@ -144,24 +137,11 @@ def places_looked_at(segments: Sequence[Segment]) -> int:
 def by_window(
     segment: Segment, white: np.ndarray, dispersion: float, looked: int, parts: int = 1
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Energy of a whitened residual by windows of time.
+    """Energy of whitened coefficients (K, c) by windows of one second, each divided into ``parts``.
 
-    Parameters
-    ----------
-    segment, white
-        Recording and its whitened coefficients (K, c).
-    dispersion
-        Mean square of what counts as noise.
-    looked
-        Number of all places looked at.
-    parts
-        Into how many each window of one second is divided.
-
-    Returns
-    -------
-    edges, energy, freedom, chance
-        Edges of the windows in samples (w + 1,), energy over noise and its expectation (w, c), chance of as much in any
-        place (w, c). Where a recording fades in and out, or a joint rests, less is expected, but never less than one.
+    Returns the windows' edges in samples (w + 1,), energy over noise and its expectation (w, c), and the chance of as much in
+    any of the places looked at (w, c). Where a recording fades in and out, or a joint rests, less is expected, but never less
+    than one.
     """
     count = _windows(segment)
     edges = _edges(len(segment.times), count, parts)

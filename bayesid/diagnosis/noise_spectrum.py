@@ -102,14 +102,8 @@ def repeat_pieces(
 ) -> list[Piece]:
     """Differences between repeats.
 
-    Parameters
-    ----------
-    segments, repeats
-        Recordings, and where they repeat.
-    predict
-        Readings predicted for a segment (M, c).
-    roundings
-        Every segment several times more as other roundings of its encoders would have shown it.
+    ``predict`` gives readings of a segment (M, c); ``roundings`` holds every segment several times more as other roundings of
+    its encoders would have shown it.
     """
     predicted = {i: predict(segments[i]) for r in repeats for i in (r.first, r.second)}
     wrong = {i: [predict(s) - predicted[i] for s in roundings[i]] for i in predicted}
@@ -276,22 +270,10 @@ def measure(
 ) -> Spectrum | None:
     """The noise of moving recordings by frequency, where they allow it.
 
-    Where noise above the band is no guide (`filtered`), repeats are preferred, for they hold the noise of motion, too;
-    then rests. Otherwise the white noise read above the band is the better estimate, and is replaced only where repeats
-    or a wrench at rest show noise that is much stronger in the band.
-
-    Parameters
-    ----------
-    segments
-        Recordings of motions.
-    rests
-        Times (N,) and readings (N, c) of a robot that stands still.
-    white
-        Standard deviation read above the band (c,).
-    filtered
-        Whether readings were filtered before they were recorded.
-    encoders
-        For what of the difference of repeats is their doing.
+    Where noise above the band is no guide, for readings were ``filtered`` before they were recorded, repeats are preferred, for
+    they hold the noise of motion, too; then rests, times (N,) and readings (N, c) of a robot that stands still. Otherwise the
+    white noise read above the band (c,) is the better estimate, and is replaced only where repeats or a wrench at rest show
+    noise that is much stronger in the band. ``encoders`` say what of the difference of repeats is their doing.
     """
     settings = segments[0].settings
     repeats = find_repeats([course(s) for s in segments], encoders.resolution)

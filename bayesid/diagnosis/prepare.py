@@ -53,31 +53,11 @@ def prepare_data(
     settings: Settings = DEFAULT,
     below: float = np.inf,
 ) -> DiagnosisData:
-    """Cut the recordings into segments, smooth them and measure their noise.
+    """Cut the recordings into segments, smooth them to a bandwidth of ``below`` [Hz] at most, and measure their noise.
 
-    Parameters
-    ----------
-    experiment
-        The recordings.
-    channel
-        ``wrench``, ``torque`` or ``both``; default as for `bayesid.identify`.
-    terms
-        Effects of the user's model.
-    motions
-        Which to fit; default those with role ``identification``.
-    seed
-        Of the encoders' repeated rounding.
-    held
-        Effects among these, ``name@where``, whose values are kept.
-    settings
-        The thresholds.
-    below
-        Bandwidth of the joint motion, at most [Hz].
-
-    Raises
-    ------
-    InputError
-        Nothing to fit.
+    ``channel`` and ``motions`` are by default those that `bayesid.identify` takes. Of the user's effects, those in ``held``,
+    ``name@where``, keep their values; the seed is that of the encoders' repeated rounding. An `InputError` where there is
+    nothing to fit.
     """
     channel = channel or default_channel(experiment)
     channels = make_channels(experiment, channel)

@@ -162,10 +162,7 @@ class _Window:
 def find_push(user: Fit, best: Fit | None = None) -> Push | None:
     """The push that readings of a wrench sensor demand, if there is one and other motions are without it.
 
-    Parameters
-    ----------
-    user, best
-        The user's model, and the best attempt at explaining what it leaves without a push, where there is one.
+    ``best`` is the best attempt at explaining what the user's model leaves without a push, where there is one.
     """
     data = user.projector.data
     moments = _moments(data, user)
@@ -199,17 +196,7 @@ def find_push(user: Fit, best: Fit | None = None) -> Push | None:
 
 
 def measured_push(push: Push, data: DiagnosisData, model: Fit) -> Push:
-    """The same push in the same interval beside a model that was fitted to what `without_push` leaves.
-
-    Parameters
-    ----------
-    push
-        As it was found.
-    data
-        The recordings with the push.
-    model
-        The model.
-    """
+    """The same push in the same interval beside a model that was fitted to what `without_push` leaves of the recordings."""
     moments = _moments(data, model)
     if moments is None:
         return push
@@ -223,17 +210,7 @@ def measured_push(push: Push, data: DiagnosisData, model: Fit) -> Push:
 
 
 def without_push(data: DiagnosisData, push: Push, seed: int) -> DiagnosisData:
-    """The recordings with no weight on the interval of a push, and their noise.
-
-    Parameters
-    ----------
-    data
-        The recordings.
-    push
-        The push.
-    seed
-        Of the encoders' repeated rounding.
-    """
+    """The recordings with no weight on the interval of a push, and their noise; the seed is that of the encoders' rounding."""
     start, end = push.values[:2]
     segments = tuple(
         replace(s, left_out=(start, end), covariance=np.zeros(0)) if s.motion == push.motion and not s.still else s
@@ -275,15 +252,7 @@ class _Place:
 
 
 def less_push(experiment: Experiment, push: Push) -> Experiment:
-    """The experiment with readings of a wrench sensor as they were without the push.
-
-    Parameters
-    ----------
-    experiment
-        The recordings.
-    push
-        The push.
-    """
+    """The experiment with readings of a wrench sensor as they were without the push."""
     channels = make_channels(experiment, "wrench")
 
     def less(table: Table) -> Table:

@@ -44,20 +44,8 @@ def remarks(
 ) -> tuple[str, ...]:
     """Everything worth knowing beside the verdict: why it is unknown first, then the noise, the model, validation, moments.
 
-    Parameters
-    ----------
-    search
-        The models fitted.
-    gap
-        On the held-out motions, of the model that is handed on; None without any.
-    verdict, reason
-        See `bayesid.diagnosis.verdict`.
-    stability
-        Of each effect found.
-    part
-        Effects that held-out recordings prove, where that was asked.
-    worse
-        Whether they make the validation motions worse once they are fitted to all others.
+    ``gap`` is that of the model that is handed on. ``part`` holds effects that held-out recordings prove, where that was asked,
+    and ``worse`` says whether they make the validation motions worse once they are fitted to all others.
     """
     data = search.projector.data
     out = _unknown(search, gap, reason) if verdict == "unknown" else []
@@ -197,15 +185,7 @@ def _of_the_validation(search: Search, found: Sequence[Found], gap: Gap | None) 
 
 
 def moment_sentence(stability: Stability, needed: float) -> str:
-    """That an effect rests on one moment.
-
-    Parameters
-    ----------
-    stability
-        Of the effect.
-    needed
-        Log evidence that an effect has to bring.
-    """
+    """That an effect rests on one moment, where it needs so much log evidence."""
     at = stability.rests_on
     if at is None:
         return ""

@@ -42,19 +42,7 @@ class Search:
 
 
 def search(projector: NuisanceProjector, terms: Sequence[Term], seed: int, progress: Callable[[str], None]) -> Search:
-    """Find the effects that the data demand beside the user's model.
-
-    Parameters
-    ----------
-    projector
-        What is always in.
-    terms
-        Effects of the user's model.
-    seed
-        Of the encoders' repeated rounding.
-    progress
-        Called with the name of every phase as it begins.
-    """
+    """Find what effects the data demand beside the user's ``terms``; ``progress`` is called with the name of every phase."""
     progress("fitting the model as it is")
     state = _start(projector, terms, seed)
     if (points := as_points(state.base, seed)) is not None:

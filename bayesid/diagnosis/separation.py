@@ -37,11 +37,6 @@ def visible(library: Library) -> tuple[Visible, ...]:
     With the whitened columns of two effects, links projected out, the trace z of the first at its usual values, and an
     orthonormal basis Q of the second, the second explains ``|Q' z|^2 / |z|^2`` of it. The usual size has a length of |z|
     standard deviations, so ``5 / |z|`` of it is seen and ``5 / (|z| sqrt(1 - share))`` of it told apart.
-
-    Parameters
-    ----------
-    library
-        Columns of all effects at the user's model.
     """
     robot, detected = library.projector.data.robot, library.projector.data.settings.detected
     if not library.blocks:

@@ -11,10 +11,7 @@ from bayesid.dynamics.base_parameters import structural_base
 def base_shifts(search: Search) -> tuple[tuple[str, float, float, float], ...]:
     """Base parameters that the effects found had moved by more than three standard deviations, most first.
 
-    Returns
-    -------
-    shifts
-        Label, value before and after, and by how many standard deviations each had moved.
+    Each as its label, its values before and after, and by how many standard deviations it had moved.
     """
     data = search.projector.data
     if data.prior is None:

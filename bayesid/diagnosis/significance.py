@@ -15,11 +15,6 @@ def distance(best: Fit, index: int) -> tuple[float, int]:
     That are the parameters that readings are linear in: without a force there is no contact, however well its window and its
     point are known, and without stiffness no tether. An effect that has none of them, as a delay, is measured by all of its
     parameters.
-
-    Parameters
-    ----------
-    best, index
-        The model, and which of its effects.
     """
     term = best.terms[index]
     shape = set(term.effect.shape)
@@ -50,13 +45,6 @@ def differs_from_zero(best: Fit, index: int, dispersion: float = 1.0) -> bool:
 
     A fit without an effect may be much worse although its value is not known: the interval counts how the residuals scatter
     from frequency to frequency, the evidence only how many and how large they are.
-
-    Parameters
-    ----------
-    best, index
-        The model, and which of its effects.
-    dispersion
-        The dispersion factor.
     """
     squared, count = distance(best, index)
     return count == 0 or outside(squared / dispersion, count, best.projector.data.settings)

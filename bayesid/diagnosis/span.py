@@ -20,14 +20,9 @@ class Span:
 
     @classmethod
     def of(cls, columns: np.ndarray, least: float = _LEAST, rounding: float = 0.0) -> Span:
-        """Of columns (rows, k), each in its own unit, but for singular values below a share of the largest.
+        """Of columns (rows, k), each in its own unit, but for singular values below a share ``least`` of the largest.
 
-        Parameters
-        ----------
-        columns, least
-            The columns and the share.
-        rounding
-            Absolute error of every column, in the unit of the columns; directions no longer than this are left out.
+        Directions no longer than ``rounding``, the absolute error of every column in its unit, are left out.
         """
         length = np.linalg.norm(columns, axis=0)
         there = np.flatnonzero(length > 0.0)

@@ -76,16 +76,9 @@ class _Sums:
     parameters: int
 
     def solved(self, gram: np.ndarray, without: Sequence[int] = (), trace: int | None = None) -> tuple[np.ndarray, float]:
-        """Best coefficients (links + parameters,) and the squared residual that they leave.
+        """Best coefficients (links + parameters,) for inner products, and the squared residual that they leave.
 
-        Parameters
-        ----------
-        gram
-            Inner products.
-        without
-            Parameters held.
-        trace
-            Effect whose trace is added to the residual.
+        Parameters in ``without`` are held, and the trace of effect ``trace`` is added to the residual.
         """
         held = {self.links + k for k in without}
         unknown = [k for k in range(self.links + self.parameters) if k not in held]
@@ -115,16 +108,8 @@ def stability(
 ) -> tuple[Stability | None, ...]:
     """Every effect found without each part of the recordings; None for one that happens at one moment by its nature.
 
-    Parameters
-    ----------
-    projector, best
-        The model with all effects, and what was projected out.
-    known
-        Number of the user's effects, the first in the model.
-    found
-        The effects found, in the model's order.
-    dispersion
-        Mean square of what counts as noise.
+    The first ``known`` effects of the model are the user's; ``found`` follow in the model's order. ``dispersion`` is the mean
+    square of what counts as noise.
     """
     if not found:
         return ()

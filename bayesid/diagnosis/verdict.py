@@ -46,17 +46,7 @@ class Evidence:
 
 
 def evidence_of(search: Search, gap: Gap | None, stability: Sequence[Stability | None] = ()) -> Evidence:
-    """The numbers that a verdict rests on.
-
-    Parameters
-    ----------
-    search
-        The models fitted.
-    gap
-        On the held-out motions; None without any.
-    stability
-        Of each effect found.
-    """
+    """The numbers that a verdict rests on; ``gap`` is None without held-out motions, ``stability`` of each effect found."""
     least = search.projector.data.settings.accept
     terms = [f.term for f in search.found]
     numbers = ("before", "after", "floor", "closed", "closed_low", "difference")
@@ -92,15 +82,7 @@ def denied(e: Evidence, s: Settings) -> bool:
 
 
 def verdict(evidence: Evidence, settings: Settings) -> tuple[Verdict, Reason]:
-    """The verdict, and why if it is ``unknown``.
-
-    Parameters
-    ----------
-    evidence
-        The numbers.
-    settings
-        The thresholds.
-    """
+    """The verdict, and why if it is ``unknown``."""
     e, s = evidence, settings
     nearly = nearly_complete(e, s)
     left = 0.0 if e.effects and nearly else e.residual

@@ -58,17 +58,7 @@ class Dispersion:
 
 
 def dispersions(whole: Rows, solution: np.ndarray, channels: Sequence[Rows] = ()) -> list[Dispersion]:
-    """Dispersion of the fit to all rows, and of what each channel pulls it by.
-
-    Parameters
-    ----------
-    whole
-        All rows.
-    solution
-        The fit to them (p,).
-    channels
-        The rows of each channel.
-    """
+    """Dispersion of the fit (p,) to all rows, and of what the rows of each channel pull it by."""
     p, parts = len(solution), [whole, *channels]
     nothing = [Dispersion() for _ in parts]
     if len(whole.grams) < 2:

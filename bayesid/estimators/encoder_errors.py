@@ -112,21 +112,9 @@ def with_encoder_errors(
 ) -> np.ndarray | None:
     """Mean square of the weighted equations' right side, ``X' W'W Sigma W'W X + cov(X0' W'W U b) + m m'`` (p, p).
 
-    Parameters
-    ----------
-    regression, weights
-        The rows, and the mean S of all their noise.
-    scale
-        What each channel (c,) of a group of rows was weighted with; None: rows were whitened.
-    inverse
-        Of a factor of the weighted rows, zero in columns that these do not determine (p, p).
-    middle
-        ``X' W'W S W'W X``, which is the same without encoder errors (p, p).
-
-    Returns
-    -------
-    middle
-        None where encoder errors add next to nothing, or `may_matter` denies it.
+    ``scale`` is what each channel (c,) of a group of rows was weighted with; None: rows were whitened. ``inverse`` is that of a
+    factor of the weighted rows, zero in columns that these do not determine (p, p); ``middle`` is ``X' W'W S W'W X``, which is
+    the same without encoder errors. None where encoder errors add next to nothing, or `may_matter` denies it.
     """
     law = regression.regressor_noise
     if law is None or not may_matter(regression, weights):
@@ -154,12 +142,7 @@ def with_encoder_errors(
 def encoder_growth(regression: Regression, weights: Weights, scale: dict[str, np.ndarray], inverse: np.ndarray) -> np.ndarray:
     """By what encoder errors multiply the variances of a fit weighted by channel (p,), for fits with other weights still.
 
-    Parameters
-    ----------
-    regression, weights, scale
-        As for `with_encoder_errors`.
-    inverse
-        Of a factor of the weighted rows, zero in columns that these do not determine (p, p).
+    Arguments are those of `with_encoder_errors`.
     """
     middle = sandwich_middle(regression, weights.noise, scale)
     corrected = with_encoder_errors(regression, weights, scale, inverse, middle)
@@ -173,16 +156,9 @@ def encoder_growth(regression: Regression, weights: Weights, scale: dict[str, np
 def sensor_alone(
     regression: Regression, weights: Weights, values: np.ndarray, drawn: Sequence[Sequence[tuple[str, np.ndarray]]]
 ) -> dict[str, NoiseModel]:
-    """Noise of each group of rows without what encoder errors add to it.
+    """Noise of each group of rows without what encoder errors add to it, from an estimate (p,) that leaves the residuals.
 
-    Parameters
-    ----------
-    regression, weights
-        The rows, and all their noise.
-    values
-        The estimate that leaves the residuals (p,).
-    drawn
-        Of each draw, the groups of blocks and what errors add to their rows (k, channels).
+    ``drawn`` holds, for each draw, the groups of blocks and what errors add to their rows (k, channels).
     """
     known = stated_noise(regression)
     if known is not None:

@@ -193,17 +193,10 @@ def split_noise(
 ) -> tuple[dict[str, NoiseModel], np.ndarray]:
     """Noise of the sensor, and the covariance that encoder errors add to the equations' right side.
 
-    Encoder errors enter rows through the dynamics: they come and go with the motion, and they hardly reach the low
-    frequencies where the motion is. No stationary recursion says that, so their part is simulated: about a smooth
-    trajectory with the regressor X and the estimate b, ``Z*'W (X - X*) b``.
-
-    Parameters
-    ----------
-    regression, start, solution, law
-        The rows, where least squares stands, the estimate b, and the law of the errors.
-    draws
-        Pairs of X* and Z* with simulated errors; none: there are no errors, or their law is not known. The noise of all
-        kinds is then that of the residuals.
+    Encoder errors enter rows through the dynamics: they come and go with the motion, and they hardly reach the low frequencies
+    where the motion is. No stationary recursion says that, so their part is simulated: about a smooth trajectory with the
+    regressor X and the estimate b, ``Z*'W (X - X*) b``. ``draws`` are pairs of X* and Z* with simulated errors; without any,
+    the noise of all kinds is that of the residuals.
     """
     p = len(solution)
     if law is None or not draws:

@@ -79,12 +79,7 @@ def stacked(first: Factor, second: Factor) -> Factor:
 def gram_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray], *, row_by_row: bool = False) -> np.ndarray:
     """Sum of ``X'X`` of the transformed rows (k, channels, p); where squares are wanted, cheaper than a factor.
 
-    Parameters
-    ----------
-    blocks, transform
-        As for `reduce_rows`.
-    row_by_row
-        Whether ``transform`` treats each row alone, so that a few can be transformed at a time.
+    Where ``transform`` treats each row alone (``row_by_row``), a few are transformed at a time.
     """
     return sum(in_order(gram_of(transform, row_by_row=row_by_row), blocks), np.zeros(()))
 

@@ -172,17 +172,7 @@ def likelihood_weights(weights: Weights) -> str:
 def weighted_factor(regression: Regression, weights: Weights, kind: str) -> tuple[Factor, dict[str, np.ndarray] | None]:
     """Factor of weighted rows, and what each channel (c,) of a group of rows was weighted with; None: rows were whitened.
 
-    Parameters
-    ----------
-    regression, weights
-        The rows, and their noise.
-    kind
-        ``none``, ``channel`` or ``noise``, as in `LeastSquares`.
-
-    Raises
-    ------
-    InputError
-        Another kind.
+    The kind is ``none``, ``channel`` or ``noise``, as in `LeastSquares`; an `InputError` for any other.
     """
     if kind not in _WEIGHTS:
         raise InputError(f"weights '{kind}': choose one of {', '.join(_WEIGHTS)}")
@@ -212,14 +202,7 @@ def covariance_middle(
 ) -> np.ndarray | None:
     """Covariance of the weighted equations' right side (p, p); None where it is the equations' matrix.
 
-    Parameters
-    ----------
-    regression, weights
-        The rows, and their noise.
-    scale
-        What each channel (c,) of a group of rows was weighted with; None: rows were whitened.
-    factor
-        Of the weighted rows.
+    ``scale`` is what each channel (c,) of a group of rows was weighted with; None: rows were whitened.
     """
     if scale is not None and not may_matter(regression, weights):
         return sandwich_middle(regression, weights.dispersed(), scale)
@@ -296,20 +279,8 @@ def make_estimate(
 ) -> Estimate:
     """An estimate with what every one says of itself: residuals in units of the noise, whiteness, weak parameters.
 
-    Parameters
-    ----------
-    name
-        Of the estimator.
-    regression, weights
-        What was fitted, and its noise.
-    factor
-        Of the rows, as they were weighted.
-    solution
-        Base and effect parameters (p,).
-    covariance
-        Covariance of these parameters (p, p), or None.
-    hidden
-        Parameters that the rows say nothing about (p,).
+    ``factor`` is of the rows as they were weighted; base and effect parameters (p,) have a covariance (p, p), or None, and are
+    ``hidden`` where the rows say nothing about them (p,).
     """
     white = [residual_of(rows, solution) for _, rows in whitened(regression.pilot(), weights.noise)]
     count = sum(w.size for w in white)

@@ -61,16 +61,9 @@ class StepControl:
 
 
 def minimise(state: State, linearise: Callable[[State], Linearised[State] | None], control: StepControl) -> State:
-    """Step until nothing is gained any more.
+    """Step from a state until nothing is gained any more.
 
-    Parameters
-    ----------
-    state
-        Where to start.
-    linearise
-        The model at a state; None where no step is worth taking: it has settled, or cannot be linearised.
-    control
-        Step control.
+    ``linearise`` gives None where no step is worth taking: the model has settled, or cannot be linearised.
     """
     caution = control.first
     for _ in range(control.steps):
@@ -108,22 +101,8 @@ _CONTROL = StepControl(
 def solve(problem: Problem, method: str | Estimator = DEFAULT_METHOD) -> tuple[Problem, Estimate]:
     """Estimate, with the model linearised where the estimate is.
 
-    Parameters
-    ----------
-    problem
-        From `bayesid.regression.problem.prepare`.
-    method
-        The estimator.
-
-    Returns
-    -------
-    problem, estimate
-        The problem, linearised at the estimate; the same where nothing has to be.
-
-    Raises
-    ------
-    InputError
-        Readings are not finite where the effects start.
+    The problem is that linearised one, the same where nothing has to be. An `InputError` where readings are not finite at the
+    start of the effects.
     """
     if problem.row_model.point is None:
         return problem, fit(problem.regression, method)

@@ -34,21 +34,10 @@ def tails(level: float = LEVEL) -> tuple[float, float]:
 def central_interval(
     values: np.ndarray, std: np.ndarray, level: float = LEVEL, possible: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of the central intervals of normal laws.
+    """Ends of the central intervals of normal laws with a probability inside; an `InputError` where it is none.
 
-    Parameters
-    ----------
-    values, std
-        Any shape; nan in ``std`` where there is no honest one, which gives nan.
-    level
-        Probability inside.
-    possible
-        Smallest and largest values that can be (2, ...), where intervals end; None: any.
-
-    Raises
-    ------
-    InputError
-        The level is no probability.
+    Values and their standard deviations have any shape; without an honest one, nan, the ends are nan. Intervals end at
+    ``possible``, the smallest and largest values that can be (2, ...); None: any.
     """
     half = norm.ppf(tails(level)[1]) * np.asarray(std)
     ends = values - half, values + half

@@ -143,16 +143,9 @@ def compared(
 ) -> PriorCheck | None:
     """Compare an estimate of the data alone with a prior; None where there is nothing to compare.
 
-    Parameters
-    ----------
-    base
-        K, from link to base parameters.
-    evidence
-        Base parameters by the data (r,), their covariance (r, r), and which of them the data say nothing about (r,) or more.
-    mean, root
-        Of the links (P,), and W with ``W'W`` the prior's precision (q, P); zero columns where it says nothing.
-    rel_std, stated
-        See `PriorCheck`.
+    ``evidence`` holds base parameters by the data (r,), their covariance (r, r), and which of them the data say nothing about
+    (r,) or more. The prior of the links has a mean (P,) and a root W with ``W'W`` its precision (q, P), with zero columns where
+    it says nothing.
     """
     values, covariance, undetermined = evidence
     known = np.linalg.norm(root, axis=0) > 0

@@ -20,14 +20,8 @@ _NEARLY_ORTHONORMAL = 1e-3
 def reduce_in_coordinates(root: np.ndarray | None, rows: RowCache, scale: Mapping[str, np.ndarray]) -> Factor:
     """The same factor as `reduce_rows` finds, in half its time, where a pilot's coordinates are known [Yamamoto2015]_.
 
-    Parameters
-    ----------
-    root
-        `bayesid.estimators.factor.Pilot.root` of some of the rows, in whose coordinates all are nearly orthonormal, or None.
-    rows
-        All of them; read twice where they turn out to be far from orthonormal.
-    scale
-        What each channel (c,) of a group of rows is multiplied by.
+    All rows are nearly orthonormal in the coordinates of ``root``, the `Pilot.root` of some of them, or None; they are read
+    twice where they turn out to be far from it. Each channel (c,) of a group is multiplied by ``scale``.
     """
 
     def scaled(block: Block) -> np.ndarray:

@@ -34,21 +34,11 @@ def sensor_noise(
     known_poles: np.ndarray | None = None,
     coloured: bool = True,
 ) -> NoiseModel:
-    """Noise of the sensor alone.
+    """Noise of the sensor alone, from residuals (k, channels) and draws of what encoder noise adds to them, by recording.
 
-    Parameters
-    ----------
-    residuals
-        One array a recording (k, channels).
-    encoder
-        Draws of what encoder noise adds, each like ``residuals``.
-    spread
-        One array a recording (k, channels, p): ``X L`` with ``L L'`` the covariance of the parameters, which gives back
-        what the fit took from the residuals.
-    known_poles
-        Poles of the filter that the rows passed, from the zero state.
-    coloured
-        False for rows that are not consecutive.
+    ``spread`` (k, channels, p) is ``X L`` with ``L L'`` the covariance of the parameters, which gives back what the fit took
+    from the residuals. ``known_poles`` are those of the filter that the rows passed, from the zero state. Rows that are not
+    consecutive are not ``coloured``.
     """
     known = np.array([1.0]) if known_poles is None else np.real(np.poly(known_poles))
     rows = [moving_average(known, r) for r in residuals]

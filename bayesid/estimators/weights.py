@@ -213,18 +213,10 @@ def _settled(before: dict[str, NoiseModel], after: dict[str, NoiseModel]) -> boo
 
 
 def _agreement(efficient: Factor, plain: Factor, middle: np.ndarray, difference: np.ndarray) -> float:
-    """Probability of a difference between the two fits as large as this one.
+    """Probability of a difference, channel-weighted fit less efficient one (p,), as large as this one.
 
-    Under a complete model ``d = b_wls - b_gls`` has covariance ``V_wls - V_gls``.
-
-    Parameters
-    ----------
-    efficient, plain
-        Of whitened rows, and of rows weighted by channel.
-    middle
-        Of the sandwich around the channel-weighted fit's covariance (p, p).
-    difference
-        Channel-weighted fit less efficient one (p,).
+    Under a complete model ``d = b_wls - b_gls`` has covariance ``V_wls - V_gls``. ``middle`` is that of the sandwich around the
+    channel-weighted fit's covariance (p, p).
     """
     whole, bread = efficient.matrix, plain.matrix
     outer = np.linalg.pinv(bread.T @ bread, rcond=1e-12, hermitian=True)

@@ -13,13 +13,7 @@ from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
 
 
 def checked_pair(matrix: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Regressor (samples, channels, parameters) and measurements (samples, channels) as finite arrays of numbers.
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit, or values are not finite.
-    """
+    """Regressor (samples, channels, parameters) and measurements (samples, channels) as finite arrays, or an `InputError`."""
     matrix, target = np.asarray(matrix, float), np.asarray(target, float)
     if matrix.ndim != 3 or target.shape != matrix.shape[:2]:
         raise InputError(
@@ -31,13 +25,7 @@ def checked_pair(matrix: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np
 
 
 def checked_like(given: np.ndarray | None, matrix: np.ndarray, argument: str, axes: int) -> np.ndarray | None:
-    """An optional array of so many axes, the last three of which are the matrix's.
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit, or values are not finite.
-    """
+    """An optional finite array of so many axes, the last three of which are the matrix's, or an `InputError`."""
     if given is None:
         return None
     array = np.asarray(given, float)
@@ -49,13 +37,7 @@ def checked_like(given: np.ndarray | None, matrix: np.ndarray, argument: str, ax
 
 
 def checked_noise(given: Sequence[float] | np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Known standard deviations (channels,) or (samples, channels) as an array.
-
-    Raises
-    ------
-    InputError
-        The shape does not fit, or a number is not above zero and finite.
-    """
+    """Known standard deviations (channels,) or (samples, channels) as a finite array above zero, or an `InputError`."""
     if given is None:
         return None
     std = np.asarray(given, float)
@@ -74,13 +56,7 @@ def _require_finite(name: str, array: np.ndarray) -> None:
 
 
 def names_of(given: Sequence[str] | None, count: int, letter: str, argument: str) -> tuple[str, ...]:
-    """Names as given, one for each column, or numbered ones.
-
-    Raises
-    ------
-    InputError
-        There are more or fewer names than columns.
-    """
+    """Names as given, one for each column, or numbered ones; an `InputError` where there are more or fewer."""
     if given is None:
         return tuple(f"{letter}{k + 1}" for k in range(count))
     if len(given) != count:

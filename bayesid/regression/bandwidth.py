@@ -58,14 +58,8 @@ def candidates(highest: float) -> np.ndarray:
 def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float, at_end: bool = False) -> BandwidthChoice | None:
     """Judge bandwidths by parts that were left out; None where there is nothing to choose or too little to judge by.
 
-    Parameters
-    ----------
-    rows
-        Rows of the fitted motions at a bandwidth; their times may differ from bandwidth to bandwidth.
-    highest
-        The first bandwidth tried [Hz].
-    at_end
-        Whether that is the end of the range that the positions were searched in.
+    ``rows`` gives those of the fitted motions at a bandwidth; their times may differ from one to the next. The first one tried
+    is the ``highest`` [Hz]; ``at_end`` says whether that is the end of the range that the positions were searched in.
     """
     bandwidths = candidates(highest)
     if len(bandwidths) < 2:

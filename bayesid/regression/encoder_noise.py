@@ -48,18 +48,11 @@ class EncoderNoise:
 
 
 def measure(segments: Sequence[Segment | LongSegment], bandwidth: float, most: np.ndarray, least: float = 0.0) -> EncoderNoise:
-    """Size of the encoder noise from what the smoother leaves over.
+    """Size of the encoder noise from what the smoother leaves over in segments that are fitted; poses at rest show no noise.
 
-    Parameters
-    ----------
-    segments
-        Those that are fitted; poses at rest show no noise.
-    bandwidth
-        Of the smoother [Hz].
-    most
-        Standard deviations that are not exceeded (n,): a bandwidth below the motion's would take motion for noise.
-    least
-        What is stated of them: errors that were filtered with the positions are not seen beside the motion, and are in it.
+    Standard deviations above ``most`` (n,) are not believed: a bandwidth [Hz] below the motion's would take motion for noise.
+    ``least`` is what is stated of them: errors that were filtered with the positions are not seen beside the motion, and are in
+    it.
     """
     n, moving = len(most), [r for r in segments if not r.poses]
     power, product, free = np.zeros(n), np.zeros(n), 0
@@ -84,21 +77,10 @@ def errors_of(
 ) -> tuple[RegressorNoise, Instruments]:
     """The law of the regressor's errors, and instruments free of them.
 
-    Parameters
-    ----------
-    row_model
-        How samples become rows.
-    segments
-        Those that are fitted.
-    smoother
-        Its positions' error is the most that is taken for encoder noise.
-
-    Notes
-    -----
     Instruments of a segment are its commanded trajectory, which never saw the encoder; else the mean over all other periods,
-    which saw it at other times. Where neither is to be had, one spline goes through the even samples and one through the
-    odd ones: the noise of each is independent of the other's as long as it is independent from sample to sample, and each
-    serves as the instrument of the other.
+    which saw it at other times. Where neither is to be had, one spline goes through the even samples and one through the odd
+    ones: the noise of each is independent of the other's as long as it is independent from sample to sample, and each serves as
+    the instrument of the other. The smoother's error of positions is the most that is taken for encoder noise.
     """
     e = _Encoders.of(row_model, segments, smoother)
     law = RegressorNoise(e.perturbed, e.simulated, e.pieces, e.misread, e.present, e.described, rung=row_model.rings)
@@ -204,13 +186,7 @@ def _as_smooth(bandwidth: float, segments: Sequence[Segment]) -> list[Segment]:
 
 
 def _whole(segments: Sequence[Segment | LongSegment]) -> list[Segment]:
-    """Segments that are in memory.
-
-    Raises
-    ------
-    InputError
-        One is read in chunks.
-    """
+    """Segments that are in memory; an `InputError` where one is read in chunks."""
     out = [r for r in segments if isinstance(r, Segment)]
     for r in segments:
         if isinstance(r, LongSegment):

@@ -21,19 +21,11 @@ class ChiSquared:
 
 
 def hausman(difference: np.ndarray, covariance: np.ndarray, size: np.ndarray | float = 1.0, smallest: float = 0.0) -> ChiSquared:
-    """Whether the difference d of two estimates of the same numbers is nothing but noise [Hausman1978]_.
+    """Whether the difference d (p,) of two estimates of the same numbers is nothing but noise [Hausman1978]_.
 
-    ``d' C^+ d`` is chi-squared. For a consistent estimate and the efficient one from the same rows C is the difference of
-    their covariances, for independent estimates the sum.
-
-    Parameters
-    ----------
-    difference, covariance
-        d (p,) and C (p, p).
-    size
-        Units in which all entries of d are alike (p,).
-    smallest
-        Directions in which C, in these units, is not larger say nothing and are left out.
+    ``d' C^+ d`` is chi-squared. For a consistent estimate and the efficient one from the same rows C (p, p) is the difference
+    of their covariances, for independent estimates the sum. ``size`` (p,) holds units in which all entries of d are alike;
+    directions in which C, in these, is not larger than ``smallest`` say nothing and are left out.
     """
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     keep = values > smallest

@@ -23,14 +23,9 @@ def or_one(length: np.ndarray, smallest: float = 1e-14) -> np.ndarray:
 
 
 def solve(matrix: np.ndarray, target: np.ndarray, tolerance: float = 1e-11) -> np.ndarray:
-    """Least-squares solution; directions that the rows say nothing about stay zero.
+    """Least-squares solution of (k, p) and (k,) or (k, m); directions that the rows say nothing about stay zero.
 
-    Parameters
-    ----------
-    matrix, target
-        (k, p) and (k,) or (k, m).
-    tolerance
-        Singular values of the columns at unit length count as zero below this share of the largest.
+    Singular values of the columns at unit length count as zero below this share of the largest.
     """
     length = column_lengths(matrix)
     return (np.linalg.lstsq(matrix / length, target, rcond=tolerance)[0].T / length).T
@@ -43,18 +38,11 @@ def pseudo_inverse(matrix: np.ndarray, tolerance: float = 1e-11) -> np.ndarray:
 
 
 def determined_inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """Pseudo-inverse of a factor (k, p) in the determined columns, zero in the hidden ones (p, k).
+    """Pseudo-inverse of a factor (k, p) in the determined columns, zero in the hidden ones, see `undetermined` (p, k).
 
-    What hidden columns share with the determined ones is fitted all the same, so it is part of the inverse: without those columns
-    the others would seem to be known better than they are. The covariance of an estimate takes `pseudo_inverse`
-    itself, which keeps what is known of sums of hidden columns.
-
-    Parameters
-    ----------
-    matrix
-        Factor of the rows (k, p).
-    hidden
-        Columns that the rows do not determine (p,), see `undetermined`.
+    What hidden columns share with the determined ones is fitted all the same, so it is part of the inverse: without those
+    columns the others would seem to be known better than they are. The covariance of an estimate takes `pseudo_inverse` itself,
+    which keeps what is known of sums of hidden columns.
     """
     return np.where(hidden[:, None], 0.0, pseudo_inverse(matrix, UNSEEN))
 
@@ -74,15 +62,8 @@ def undetermined(matrix: np.ndarray, tolerance: float = UNSEEN) -> np.ndarray:
 def unshown(covariance: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     """Changes of parameters that the data do not show, of unit length (p, m): the null space of the hidden ones' covariance.
 
-    That is a pseudo-inverse: where the data know a sum of two hidden parameters, such as a link's inertia and its rotor's, only
-    their difference is in it.
-
-    Parameters
-    ----------
-    covariance
-        Of an estimate (p, p).
-    hidden
-        Which parameters are not determined, or only in sums with others (p,).
+    That is a pseudo-inverse (p, p): where the data know a sum of two hidden parameters, such as a link's inertia and its
+    rotor's, only their difference is in it. Hidden (p,) are those that are not determined, or only in sums with others.
     """
     at = np.flatnonzero(hidden)
     own = covariance[np.ix_(at, at)]

@@ -15,15 +15,7 @@ from bayesid.regression.segment import Segment
 
 
 class MotionRows:
-    """Blocks of rows by motion, made when first read and kept while all that is kept fits in `CACHE_BYTES`.
-
-    Attributes
-    ----------
-    row_model
-        How samples become rows.
-    segments
-        Gap-free segments of every motion, by name.
-    """
+    """Blocks of rows by motion, made when first read and kept while all that is kept fits in `CACHE_BYTES`."""
 
     def __init__(self, row_model: RowModel, segments: Mapping[str, Sequence[Segment | LongSegment]]):
         self.row_model, self.segments = row_model, segments

@@ -77,17 +77,7 @@ class Problem:
 def prepare(experiment: Experiment, options: FitOptions | None = None) -> Problem:
     """Make an experiment ready: choose motions, smooth trajectories, find base parameters, lay out rows.
 
-    Parameters
-    ----------
-    experiment
-        The recordings and the nominal robot.
-    options
-        Which readings, motions and effects are fitted, and how readings become rows; default: the experiment's own.
-
-    Raises
-    ------
-    InputError
-        A motion, channel, effect or column is missing.
+    Options are by default the experiment's own. An `InputError` where a motion, channel, effect or column is missing.
     """
     options = options or FitOptions()
     channel = options.channel or default_channel(experiment)
@@ -205,13 +195,9 @@ def chosen_again(problem: Problem) -> Problem:
     """The problem at the bandwidth that predicts best with the model where it is linearised now.
 
     The first choice is made where the effects start; what these leave unexplained there looks like motion that should be left
-    out. A bandwidth that was given stays, and so does one with effects that amplify the encoders' errors: predictions in the band
-    that judges do not show how much smaller a compliance comes out with more of these errors above it.
-
-    Raises
-    ------
-    InputError
-        Nothing is left of a motion where its trajectory has settled.
+    out. A bandwidth that was given stays, and so does one with effects that amplify the encoders' errors: predictions in the
+    band that judges do not show how much smaller a compliance comes out with more of these errors above it. An `InputError`
+    where nothing is left of a motion where its trajectory has settled.
     """
     if problem.bandwidths is None or any(e.amplifies_encoder_errors for e in problem.row_model.effects):
         return problem
@@ -236,17 +222,7 @@ def restrict(problem: Problem, motions: Sequence[str]) -> Problem:
 def elsewhere(problem: Problem, other: Experiment) -> Problem:
     """The same model, fitted as it was, with the motions of another experiment of the same robot to be predicted.
 
-    Parameters
-    ----------
-    problem
-        What was fitted; its robot and its sensor's pose stay.
-    other
-        Recordings of the same joints and readings.
-
-    Raises
-    ------
-    InputError
-        The joints differ, or no motion has the readings or is long enough.
+    Robot and pose of the sensor stay. An `InputError` where joints differ, or no motion has the readings or is long enough.
     """
     own, row_model, recorded = problem.experiment.robot.joint_names, problem.row_model, problem.experiment
     if other.robot.joint_names != own:

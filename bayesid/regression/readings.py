@@ -23,13 +23,7 @@ def default_channel(experiment: Experiment) -> str:
 
 
 def make_channels(experiment: Experiment, channel: str) -> Channels:
-    """Channels of an experiment.
-
-    Raises
-    ------
-    InputError
-        The wrench is asked for and there is no sensor.
-    """
+    """Channels of an experiment; an `InputError` where the wrench is asked for and there is no sensor."""
     if channel not in CHANNELS:
         raise InputError(f"{argument('channel', channel)}: choose one of {', '.join(CHANNELS)}")
     if channel == "torque":
@@ -107,13 +101,7 @@ def long_segments(experiment: Experiment, channels: Channels, motion: Motion, in
 
 
 def readings_of(experiment: Experiment, table: Table, channel: str) -> np.ndarray:
-    """A table's readings of a channel (N, c), of the joints whose torques the whole experiment has.
-
-    Raises
-    ------
-    InputError
-        It has none.
-    """
+    """A table's readings of a channel (N, c), of joints whose torques the whole experiment has; an `InputError` without any."""
     wanted = []
     if channel != "torque":
         wanted.append(table.wrench)

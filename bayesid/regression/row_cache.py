@@ -77,12 +77,7 @@ class RowCache:
     def total(self, each: Callable[[Block], _A], add: Callable[[_A, _A], _A]) -> _A:
         """Sum of what each block gives, from all cores; of recordings that are read in chunks, a task a chunk.
 
-        Parameters
-        ----------
-        each
-            Of a block.
-        add
-            Adds what two neighbours, or sums of neighbours, gave.
+        ``add`` adds what two neighbours, or sums of neighbours, gave.
         """
         if self.parts is None:
             return reduce(add, in_order(each, self.blocks()))

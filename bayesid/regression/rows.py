@@ -50,14 +50,8 @@ def make_blocks(
 ) -> Iterator[Block]:
     """Turn segments into blocks of rows, one after the other.
 
-    Parameters
-    ----------
-    row_model, segments
-        How samples become rows, and the samples.
-    samples
-        What to put on the rows of samples first ... last - 1 instead of regressor and readings (N, channels, any).
-    kept
-        Whether all blocks will be kept: those of a segment then lie side by side, and memory is given out in large pages.
+    ``samples`` gives what to put on the rows of samples first ... last - 1 instead of regressor and readings (N, channels,
+    any). Where all blocks will be ``kept``, those of a segment lie side by side, and memory is given out in large pages.
     """
     for segment in segments:
         if isinstance(segment, LongSegment):
@@ -145,10 +139,7 @@ class RowChunk:
 def row_chunks(row_model: RowModel, segment: LongSegment) -> list[RowChunk]:
     """The rows of a recording that is read in chunks: how they are divided depends on the recording alone.
 
-    Raises
-    ------
-    InputError
-        The segment is too short.
+    An `InputError` where the segment is too short.
     """
     a, b = _inner(row_model, segment)
     begin, end = segment.time(a), segment.time(b - 1)

@@ -28,25 +28,10 @@ class Structure:
 def model_structure(
     experiment: Experiment, channels: Channels, specs: Sequence[str], segments: Sequence[Segment], source: str
 ) -> Structure:
-    """What the model of some segments consists of.
+    """What the model of some segments consists of, with effects that the user names.
 
-    Parameters
-    ----------
-    experiment
-        The robot, the effects that there are, and starting values.
-    channels
-        What is measured.
-    specs
-        Effects that the user names.
-    segments
-        What is fitted: whether gravity and constant offsets are in the readings, and whether anything moves.
-    source
-        Where ``specs`` come from, for messages.
-
-    Raises
-    ------
-    InputError
-        An effect or a place of it does not exist.
+    Segments tell whether gravity and constant offsets are in the readings, and whether anything moves; ``source`` says where
+    the names come from, for messages. An `InputError` where an effect or a place of it does not exist.
     """
     offset = any(s.offset for s in segments)
     if offset:

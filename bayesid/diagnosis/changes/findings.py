@@ -93,19 +93,10 @@ def confirmed(selection: Selection, errors: HeldOutErrors, settings: Settings) -
 
 
 def verdict(selection: Selection, errors: HeldOutErrors, settings: Settings) -> Verdict:
-    """The verdict.
+    """The verdict on changes that the data demand, from how they do on held-out parts.
 
-    Parameters
-    ----------
-    selection, errors
-        Changes that the data demand, and how they do on held-out parts.
-    settings
-        The thresholds.
-
-    Notes
-    -----
-    Without a change there is something unknown where the data demand one that held-out parts deny, or where, with what
-    wanders within its tolerance, they are predicted worse than any dispersion allows.
+    Without a change there is something unknown where the data demand one that held-out parts deny, or where, with what wanders
+    within its tolerance, they are predicted worse than any dispersion allows.
     """
     named = confirmed(selection, errors, settings)
     if not named:
@@ -204,25 +195,10 @@ def compare_with_reference(
     seed: int = 0,
     settings: Settings = DEFAULT,
 ) -> ReferenceComparison:
-    """Find what changed between two recordings of a robot.
+    """Find what changed between recordings of a robot in its known state and later.
 
-    Parameters
-    ----------
-    before, after
-        In its known state, and later.
-    channel, effects
-        What is compared, and the model; default those of ``before``.
-    motions
-        Of the later recording; default those with role ``identification``.
-    seed
-        Of the bootstrap.
-    settings
-        The thresholds.
-
-    Raises
-    ------
-    InputError
-        They are not of the same robot, or cannot be fitted.
+    Channel and effects are by default those of ``before``, and motions of ``after`` those with role ``identification``; the
+    seed is that of the bootstrap. An `InputError` where they are not of the same robot, or cannot be fitted.
     """
     learn = partial(learn_reference, before, channel, effects)
     return compare_with_learned(learn, after, motions=motions, seed=seed, settings=settings)
@@ -236,19 +212,11 @@ def compare_with_learned(
     seed: int = 0,
     settings: Settings = DEFAULT,
 ) -> ReferenceComparison:
-    """The same for a reference that several recordings are compared with.
+    """As `compare_with_reference`, for a reference that several recordings are compared with.
 
-    Parameters
-    ----------
-    learn
-        Gives what the reference says, at its own bandwidth or the one given [Hz].
-    after, motions, seed, settings
-        As in `compare_with_reference`.
-
-    Notes
-    -----
-    Both are smoothed to the lower of the bandwidths that each of them would choose: where one of them shows no motion, what its
-    regressor holds there is encoder noise.
+    ``learn`` gives what the reference says, at its own bandwidth or the one given [Hz]. Both are smoothed to the lower of the
+    bandwidths that each of them would choose: where one of them shows no motion, what its regressor holds there is encoder
+    noise.
     """
     reference = learn()
     lower = chosen_bandwidth(reference, after, motions)

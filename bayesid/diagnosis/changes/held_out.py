@@ -65,19 +65,7 @@ class HeldOutErrors:
 
 
 def held_out_errors(selection: Selection, recording: LaterRecording, settings: Settings, seed: int) -> HeldOutErrors:
-    """Leave parts out in turn.
-
-    Parameters
-    ----------
-    selection
-        The changes.
-    recording
-        The rows.
-    settings
-        ``window`` and ``interval`` count here.
-    seed
-        Of the bootstrap.
-    """
+    """Leave parts of the later recording out in turn; the seed is that of the bootstrap."""
     squares = _residuals(selection, recording) ** 2
     blocks = _blocks(recording, settings)
     sums = np.array([squares[part].sum(axis=0) for part in blocks])

@@ -35,12 +35,7 @@ class Amplitudes:
 def amplitudes(marginal: Marginal, gram: np.ndarray | None = None, target: np.ndarray | None = None) -> Amplitudes:
     """The posterior under what is known and the dispersion that suits best: c has precision ``1 + B'A'A B / k``.
 
-    Parameters
-    ----------
-    marginal
-        What is known, and all rows.
-    gram, target
-        ``A'A`` (q, q) and ``A'y`` (q,) of some of the rows; default of all.
+    ``A'A`` (q, q) and ``A'y`` (q,) are by default those of all rows.
     """
     a, y = marginal.data.columns, marginal.data.target
     gram = a.T @ a if gram is None else gram

@@ -90,12 +90,7 @@ def _motions(model: RowModel, segments: Sequence[Segment]) -> list[MotionSegment
 def make_proposals(problem: Problem, links: np.ndarray) -> tuple[ChangeProposal, ...]:
     """Every effect that may have come, gone or changed and that a model does not have; bodies are combinations of its columns.
 
-    Parameters
-    ----------
-    problem
-        The model, and the motions that effects are asked about.
-    links
-        Ten parameters a body (10 b,).
+    Effects are asked about the problem's motions, at links (10 b,).
     """
     model, experiment = problem.row_model, problem.experiment
     robot = experiment.robot

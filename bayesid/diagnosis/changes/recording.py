@@ -44,25 +44,11 @@ class LaterRecording:
 
 
 def read_recording(reference: Reference, experiment: Experiment, motions: Sequence[str] | None) -> LaterRecording:
-    """Prepare, weight and lay out the later recording.
+    """Prepare, weight and lay out the later recording: the given motions, or those with role ``identification``.
 
-    Rows are weighted by channel and not whitened: what a real joint does beyond any model is no stationary noise, and a fit that
-    gives much weight to frequencies with little noise is biased. How few of them are independent, parts of the recording show
-    (`bayesid.estimators.dispersion`).
-
-    Parameters
-    ----------
-    reference
-        The known state.
-    experiment
-        The same robot later.
-    motions
-        Which to compare; default those with role ``identification``.
-
-    Raises
-    ------
-    InputError
-        It is another robot, or its readings are others.
+    Rows are weighted by channel and not whitened: what a real joint does beyond any model is no stationary noise, and a fit
+    that gives much weight to frequencies with little noise is biased. How few of them are independent, parts of the recording
+    show (`bayesid.estimators.dispersion`). An `InputError` where it is another robot, or its readings are others.
     """
     before = reference.problem
     problem, estimate = solve(_prepared(reference, experiment, motions, before.smoother.bandwidth), "wls")
@@ -119,13 +105,7 @@ def _body_columns(problem: Problem) -> np.ndarray:
 
 
 def check_same(before: Experiment, after: Experiment) -> None:
-    """Refuse a comparison of two robots; masses and limits may differ, for they are not compared.
-
-    Raises
-    ------
-    InputError
-        For the first difference.
-    """
+    """Refuse a comparison of two robots with an `InputError`; masses and limits may differ, for they are not compared."""
     one, other = before.robot, with_bodies(after).robot
     if one.joint_names != other.joint_names:
         raise InputError(

@@ -58,15 +58,7 @@ class ReferenceAmplitudes:
     def of(
         cls, problem: Problem, point: Point, solution: np.ndarray, proposals: tuple[ChangeProposal, ...]
     ) -> ReferenceAmplitudes:
-        """Ask the reference.
-
-        Parameters
-        ----------
-        problem, point, solution
-            Its fit.
-        proposals
-            The effects.
-        """
+        """Ask the reference, by its fit, about proposed effects."""
         weights = learn_weights(problem.regression)
         model = with_proposals(problem.row_model, point, proposals)
         p = len(solution)
@@ -90,14 +82,9 @@ class ReferenceAmplitudes:
         return cls(carried, inner, away.T @ middle[:-1, :-1] @ away, np.where(faint, 0.0, target))
 
     def amplitudes(self, columns: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Amplitudes in the reference, mean (k,) and a root of their covariance (k, k).
+        """Amplitudes of the proposals' columns (k,) in the reference, mean (k,) and a root of their covariance (k, k).
 
-        Parameters
-        ----------
-        columns
-            Of the proposals (k,).
-        sizes
-            Prior standard deviations, where the reference says nothing (k,).
+        Where the reference says nothing, ``sizes`` (k,) are their prior standard deviations.
         """
         own, scale = np.ix_(columns, columns), np.outer(sizes, sizes)
         # In sizes, and along axes of which the reference says more than nothing; the others stay as they are beforehand.
@@ -213,23 +200,10 @@ def with_bodies(experiment: Experiment) -> Experiment:
 def learn_reference(
     experiment: Experiment, channel: str | None = None, effects: Sequence[str] | None = None, bandwidth: float | None = None
 ) -> Reference:
-    """Fit links, friction of every joint and the model's own effects to the reference.
+    """Fit links, friction of every joint and the model's own effects to a robot in its known state.
 
-    Parameters
-    ----------
-    experiment
-        The robot in its known state.
-    channel
-        ``wrench``, ``torque`` or ``both``; None: as for `bayesid.identify`.
-    effects
-        Replaces ``[model] effects``; friction of every joint comes along for torques.
-    bandwidth
-        Of the joint motion [Hz]; None: chosen from the recording.
-
-    Raises
-    ------
-    InputError
-        It cannot be fitted.
+    ``channel`` and ``bandwidth`` [Hz] are by default chosen as for `bayesid.identify`; ``effects`` replace ``[model] effects``,
+    and friction of every joint comes along for torques. An `InputError` where it cannot be fitted.
     """
     experiment = with_bodies(experiment)
     own = list(experiment.effects if effects is None else effects)

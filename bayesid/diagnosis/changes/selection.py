@@ -76,15 +76,7 @@ class Selection:
 
 
 def select(reference: Reference, recording: LaterRecording, settings: Settings) -> Selection:
-    """Add changes as long as the data demand them.
-
-    Parameters
-    ----------
-    reference, recording
-        Before and after.
-    settings
-        ``accept`` and ``rival`` count here.
-    """
+    """Add changes between reference and later recording as long as the data demand them."""
     tolerance = {f: _tolerance(reference, recording, f) for f in WANDER_FACTORS}
     s = Selection(Reduced.of(recording.rows, recording.left, recording.correlation), hypotheses(reference), tolerance)
     scores = further = s.ranked(())

@@ -48,19 +48,7 @@ class CandidateTerm:
 
 
 def candidates(names: Sequence[str], joints: Sequence[int], ranges: Ranges, band: float) -> list[CandidateTerm]:
-    """All candidates.
-
-    Parameters
-    ----------
-    names
-        Of the channels compared.
-    joints
-        Joints that move.
-    ranges
-        Where variables go in the fitted motions.
-    band
-        Highest frequency compared [Hz].
-    """
+    """All candidates, by channels' names, joints that move, ranges of variables in fitted motions and top frequency [Hz]."""
     wrench = tuple(k for k, name in enumerate(names) if not name.startswith("tau"))
     torques = tuple(k for k, name in enumerate(names) if name.startswith("tau"))
     steady, waves = [single(f) for f in (*times(ranges), *settling(ranges))], list(oscillations(ranges, band))

@@ -40,24 +40,10 @@ def choose(
     first: Half, second: Half, candidates: Sequence[CandidateTerm], settings: Settings, library: Library | None, seed: int,
     least: float,
 ) -> tuple[Chosen, ...]:  # fmt: skip
-    """Terms one after the other, as long as the second half confirms each.
+    """Terms one after the other, as long as the second half confirms each: the lower end of its share there is above ``least``.
 
-    Of the best candidates the first that is confirmed is taken.
-
-    Parameters
-    ----------
-    first, second
-        To choose on, and to test on.
-    candidates
-        All of them; how many there are counts against each.
-    settings
-        The thresholds.
-    library
-        Effects that could do as well.
-    seed
-        Of the bootstrap.
-    least
-        The lower end of a term's share on the second half is above this.
+    Of the best candidates the first that is confirmed is taken; how many candidates there are counts against each. ``library``
+    holds effects that could do as well; the seed is the bootstrap's.
     """
     bars = Counter(c.sort for c in candidates)
     tried = np.array([bars[c.sort] for c in candidates], dtype=float)
@@ -192,18 +178,9 @@ def adapted(half: Half, candidate: CandidateTerm) -> tuple[CandidateTerm, float]
 
 
 def closed(half: Half, before: np.ndarray, after: np.ndarray, settings: Settings, seed: int) -> tuple[float, float]:
-    """Share of what stood out of the noise that is closed, and the lower end of its one-sided 95 % interval.
+    """Share of what stood out of a half's noise that is closed, and the lower end of its one-sided 95 % interval by bootstrap.
 
-    Parameters
-    ----------
-    half
-        On which.
-    before, after
-        What is left of its residual (rows + m,).
-    settings
-        Length of the bootstrap's blocks, and how many draws.
-    seed
-        Of the draws.
+    ``before`` and ``after`` are what is left of its residual (rows + m,).
     """
     energy = np.stack([half.by_block(x, settings.window) for x in (before, after)], axis=1)
 

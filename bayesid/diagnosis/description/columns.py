@@ -198,12 +198,8 @@ class Half:
 def _explained(gram: np.ndarray, pull: np.ndarray, taken: np.ndarray) -> np.ndarray:
     """What columns explain (g,).
 
-    Parameters
-    ----------
-    gram, pull
-        Products of what is left of the columns with each other (g, k, k) and with the residual (g, k).
-    taken
-        Squared lengths of what is not left (g, k).
+    From products of what is left of them with each other (g, k, k) and with the residual (g, k), and squared lengths (g, k) of
+    what was taken out.
     """
     left = np.einsum("gaa->ga", gram)
     length = np.sqrt(np.maximum(left + taken, 1e-300))
@@ -234,13 +230,7 @@ def parts_of(data: DiagnosisData, segments: Sequence[Segment], fit: Fit) -> tupl
 
 
 def halves(fit: Fit) -> tuple[Half, Half]:
-    """The fitted recordings in two: motions in turn, or intervals of time of a single one.
-
-    Parameters
-    ----------
-    fit
-        The model whose residual is to be described.
-    """
+    """The recordings that a model was fitted to in two: motions in turn, or intervals of time of a single one."""
     projector = fit.projector
     data = projector.data
     whole = parts_of(data, data.segments, fit)

@@ -23,15 +23,7 @@ NAME = "draft"
 
 
 def draft_table(candidates: Sequence[CandidateTerm], names: Sequence[str]) -> dict[str, Any]:
-    """Formulas by reading and the amplitudes to be estimated, ``c1`` ..., in the order of `amplitudes`.
-
-    Parameters
-    ----------
-    candidates
-        The terms.
-    names
-        Of the channels.
-    """
+    """Formulas by the channels' names and the amplitudes to be estimated, ``c1`` ..., in the order of `amplitudes`."""
     sums: dict[str, list[str]] = {}
     parameters: dict[str, dict[str, Any]] = {}
     for candidate in candidates:
@@ -99,15 +91,7 @@ _MOST = 2
 
 
 def may_be(candidate: CandidateTerm, names: Sequence[str]) -> tuple[str, ...]:
-    """Physical causes that have such a form, at most two.
-
-    Parameters
-    ----------
-    candidate
-        The term.
-    names
-        Of the channels.
-    """
+    """Physical causes that have the form of a term in channels of these names, at most two."""
     shape = candidate.shape
     mine = {names[c] for c in candidate.channels}
     joints = {v.lstrip("qvadirtu") for v in shape.variables if v != "t" and v[-1].isdigit()}
@@ -141,20 +125,12 @@ def describe(base: Fit, starts: Sequence[Fit], library: Library | None, seed: in
     """The best draft beside one of several models; None where no other half, or no unseen motion, confirms one.
 
     Candidates (`bayesid.diagnosis.description.candidates`) are whitened like readings, what links and effects found explain is
-    projected out, and they are chosen greedily by log evidence on half of the motions (of a single motion: on intervals of time).
-    With amplitudes of that half each must close a part of what is left on the other half, and the whole draft, fitted exactly to
-    all, a part of the gap on validation motions: lower ends of bootstrap intervals above nothing.
+    projected out, and they are chosen greedily by log evidence on half of the motions (of a single motion: on intervals of
+    time). With amplitudes of that half each must close a part of what is left on the other half, and the whole draft, fitted
+    exactly to all, a part of the gap on validation motions: lower ends of bootstrap intervals above nothing.
 
-    Parameters
-    ----------
-    base
-        The user's model, which the draft must improve as well.
-    starts
-        Models whose residual is to be described; of several, a later one must leave clearly less to be preferred.
-    library
-        Effects of the library as columns, to say which of them the draft cannot be told from.
-    seed
-        Of the bootstrap.
+    The draft must improve the user's model ``base`` as well. Of several ``starts``, a later one must leave clearly less to be
+    preferred; ``library`` says which effects the draft cannot be told from.
     """
     data = base.projector.data
     moving = [s for s in data.segments if not s.still]

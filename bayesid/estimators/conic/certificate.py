@@ -91,13 +91,7 @@ class PhysicsTest:
 
 
 def explain(problem: Conic) -> InputError:
-    """The smallest set of bounds that no body can meet together, found by leaving out one after the other.
-
-    Parameters
-    ----------
-    problem
-        An infeasible one.
-    """
+    """The smallest set of bounds that no body can meet together, found by leaving out one after the other."""
     # Any regular objective will do; in units of the body's size the solver is well conditioned.
     plain = replace(problem, factor=np.diag(1.0 / problem.units))
     conflicting = list(problem.bounds)

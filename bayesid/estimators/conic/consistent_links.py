@@ -78,21 +78,10 @@ class ConsistentLinks:
 
 
 def consistent_links(regression: Regression, estimate: Estimate, nominal: np.ndarray, *, scaled: bool = False) -> ConsistentLinks:
-    """Possible links nearest to nominal ones within the uncertainty of an estimate.
+    """Possible links nearest to nominal ones (b, 10) within the uncertainty of an estimate.
 
-    Parameters
-    ----------
-    regression, estimate
-        What was fitted, and the result.
-    nominal
-        Ten parameters a body (b, 10); a body without mass counts as a ball of 1 g and 1 cm.
-    scaled
-        Whether ``nominal`` is a guess of shapes, whose density the estimate is asked for.
-
-    Raises
-    ------
-    EstimationError
-        The conic solver found no links; this happens with regressors of no use only.
+    A nominal body without mass counts as a ball of 1 g and 1 cm; where ``scaled``, they are a guess of shapes, whose density
+    the estimate is asked for. An `EstimationError` where the solver found no links, with regressors of no use only.
     """
     base, rank = regression.base, regression.base.rank
     bodies = regression.knowledge.bodies

@@ -20,21 +20,10 @@ _STEPS = 60
 
 
 def solve_entropic(problem: Conic, matrix: np.ndarray, target: np.ndarray, rel_std: float) -> Solution:
-    """Minimise ``1/2 ||A x - t||^2 + sum D_i / s^2`` under the problem's linear bounds.
+    """Minimise ``1/2 ||A x - t||^2 + sum D_i / s^2``, A (k, n), t (k,), under the problem's linear bounds.
 
-    Parameters
-    ----------
-    problem
-        Bodies, references (P0) and bounds; its factor and centre are those of the quadratic expansion.
-    matrix, target, rel_std
-        A (k, n), t (k,), s.
-
-    Raises
-    ------
-    Infeasible
-        No parameters meet the bounds.
-    EstimationError
-        The solver found nothing.
+    References are P0; the problem's factor and centre are those of the quadratic expansion. `Infeasible` where no parameters
+    meet the bounds, and an `EstimationError` where the solver found nothing.
     """
     weight = 1.0 / rel_std**2
     rows = np.concatenate([b.matrix for b in problem.bounds]) if problem.bounds else np.zeros((0, len(problem.centre)))

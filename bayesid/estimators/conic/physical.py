@@ -44,23 +44,12 @@ _TOLERANCE = 1e-9
 
 
 def possible_range(base: np.ndarray, bodies: Sequence[Sequence[int]], bounds: Sequence[Linear], effects: int) -> np.ndarray:
-    """Smallest and largest value that base parameters and effects of a possible robot can have (2, r + e).
+    """Smallest and largest value that base parameters and effects of a possible robot can have (2, r + e), with K (r, P).
 
     A combination ``k' phi`` is the sum of ``tr(A_i P_i)`` over bodies with pseudo-inertias ``P_i >= 0``. These are free of each
-    other and of any size, so it is at least 0 exactly when every ``A_i >= 0``, at most 0 when every ``A_i <= 0``, and
-    otherwise any number. Bounds of one parameter narrow that. An interval for a true value that is possible covers it no
-    less often without what lies outside.
-
-    Parameters
-    ----------
-    base
-        K (r, P).
-    bodies
-        Ten columns of each body.
-    bounds
-        Over link parameters and effects (P + e).
-    effects
-        Their number e.
+    other and of any size, so it is at least 0 exactly when every ``A_i >= 0``, at most 0 when every ``A_i <= 0``, and otherwise
+    any number. Bounds of one parameter, over links and effects (P + e), narrow that. An interval for a true value that is
+    possible covers it no less often without what lies outside.
     """
     rank, size = base.shape
     through = np.zeros((rank + effects, size + effects))
@@ -320,14 +309,7 @@ def _posterior(data: LinkData, problem: Conic, base: np.ndarray) -> np.ndarray:
 def evidence_of(matrix: np.ndarray, target: np.ndarray, hidden: np.ndarray, rank: int) -> Evidence:
     """Base parameters by the data alone (r,), their covariance (r, r), and which the data do not determine (r,).
 
-    Parameters
-    ----------
-    matrix, target
-        As `compressed` gives them.
-    hidden
-        Columns that the data do not determine (p,).
-    rank
-        Number of base parameters.
+    ``matrix`` and ``target`` are as `compressed` gives them; ``hidden`` are columns that the data do not determine (p,).
     """
     inverse = determined_inverse(matrix, hidden)
     return (inverse @ target)[:rank], (inverse @ inverse.T)[:rank, :rank], hidden[:rank]

@@ -80,21 +80,8 @@ def link_prior(
 ) -> LinkPrior:
     """Nominal model and strength from what is given: a prior, the regression's nominal links, or next to nothing.
 
-    Parameters
-    ----------
-    regression, data
-        What is fitted, and what its rows say of link parameters.
-    evidence
-        The same of base parameters.
-    prior
-        Of one's own; None: about the regression's nominal links.
-    metric, rel_std
-        As in `bayesid.estimators.conic.physical.Physical`.
-
-    Raises
-    ------
-    InputError
-        An option is unknown, or the prior is for other parameters.
+    ``data`` and ``evidence`` are what the rows say of link and of base parameters; metric and s are as in `Physical`. An
+    `InputError` where an option is unknown, or the prior is for other parameters.
     """
     if metric not in METRICS:
         raise InputError(f"sdp metric '{metric}': choose one of {', '.join(METRICS)}")

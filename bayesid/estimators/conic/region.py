@@ -16,15 +16,7 @@ from bayesid.regression.linalg import undetermined
 
 
 def conic(data: LinkData, prior: LinkPrior, bounds: tuple[Linear, ...] = (), strength: float = 1.0) -> Conic:
-    """Data and prior as one triangular factor, by one QR decomposition; nothing is squared.
-
-    Parameters
-    ----------
-    data, prior, bounds
-        What is known.
-    strength
-        Factor of the prior's precision.
-    """
+    """Data and prior, its precision times ``strength``, as one triangular factor by a QR decomposition; nothing is squared."""
     n = data.matrix.shape[1]
     root = np.sqrt(strength) * prior.root
     rows = np.zeros((len(data.target) + len(root), n + 1))

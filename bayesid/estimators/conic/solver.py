@@ -27,12 +27,8 @@ class Infeasible(Exception):
 def solve_conic(problem: Conic) -> Solution:
     """The minimiser, with its certificate.
 
-    Raises
-    ------
-    Infeasible
-        No parameters meet all constraints.
-    EstimationError
-        The solver stopped without a solution whose certificate holds.
+    `Infeasible` where no parameters meet all constraints, and an `EstimationError` where the solver stopped without a solution
+    whose certificate holds.
     """
     matrix, low, cones = problem.constraints()
     if violation(problem, matrix @ problem.centre - low) <= 0.0:

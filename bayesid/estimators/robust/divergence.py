@@ -125,18 +125,9 @@ def reasons(
 ) -> tuple[str, ...]:
     """Why the fit cannot be right, in words; empty where nothing says so.
 
-    Parameters
-    ----------
-    regression
-        What was fitted.
-    share, direction
-        Smallest share of the information that the weights left, and where (p,).
-    scale
-        Of the residuals, in units of the noise.
-    robust, plain
-        Residuals of this fit and of least squares with weights of channels alone.
-    values, least_squares
-        Both solutions (p,).
+    ``share`` is the smallest share of the information that the weights left, in ``direction`` (p,); ``scale`` is that of the
+    residuals, in units of the noise. ``plain`` and ``least_squares`` (p,) are residuals and solution of least squares with
+    weights of channels alone, ``robust`` and ``values`` those of this fit.
     """
     out = []
     if share < _LOST:
