@@ -292,6 +292,7 @@ def table(made: dict[str, Any], names: list[str], every: list[dict[str, Any]]) -
 def written(made: dict[str, Any], names: list[str], limits: list[str], cases: list[dict[str, Any]], docs: Path) -> None:
     """The page, from the recordings of which everything has been made."""
     heads = (("threshold", "Thresholds", names), ("limit", "Limits of computing", limits))
+    docs.mkdir(parents=True, exist_ok=True)
     parts = [table(made, own, cases) | {"what": what, "head": head} for what, head, own in heads if own]
     write_page(PAGE, docs / "README.md", count=len(fields(DEFAULT)), limits=len(LIMITS), parts=[p for p in parts if p["cases"]])
 
