@@ -83,7 +83,7 @@ def course_figure(
             panel.plot(x[part], values[part], "o", ms=5, color=colour, mew=0, label=label)
     if needed is not None:
         panel.axhline(needed, color="#334155", lw=0.9, label="asked for")
-    panel.set_ylim(bottom=0.0)
+    panel.set_ylim(0.0, 1.08 * panel.get_ylim()[1])
     panel.set_xticks(x, [name if len(name) < 18 else f"{name[:16]}…" for name in names])
     panel.set_title(title)
     add_legend(axes, *panel.get_legend_handles_labels())
