@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from bayesid.design.reading_noise import ReadingNoise, SensorSet
-from bayesid.diagnosis.span import orthonormal
+from bayesid.diagnosis.projector import orthonormal
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.factor import gram_rows, reduce_rows, reduce_whitened
 from bayesid.recordings.experiment import Experiment, Motion

@@ -15,11 +15,9 @@ from functools import cached_property
 import numpy as np
 
 from bayesid.diagnosis.contacts import contact_terms
-from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.data import DiagnosisData, model_rows, residual_rows, term_rows
 from bayesid.diagnosis.fit import Fit
-from bayesid.diagnosis.projector import NuisanceProjector
-from bayesid.diagnosis.rows import model_rows, residual_rows, term_rows
-from bayesid.diagnosis.span import Span, orthonormal
+from bayesid.diagnosis.projector import NuisanceProjector, Span, orthonormal
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Effect, ExternalContact, Linearisation, Surroundings, Term
 from bayesid.effects.surroundings import surroundings_of

@@ -6,10 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bayesid.diagnosis.data import Episode
+from bayesid.diagnosis.data import Episode, term_rows
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import NuisanceProjector
-from bayesid.diagnosis.rows import term_rows
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Effect, ExternalContact, Term
 from bayesid.effects.loads import CONTACT_RAMP

@@ -22,9 +22,8 @@ import numpy as np
 from scipy.fft import idct
 from scipy.linalg import solve_triangular
 
-from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.data import DiagnosisData, model_rows, residual_rows, term_rows
 from bayesid.diagnosis.fit import Fit
-from bayesid.diagnosis.rows import model_rows, residual_rows, term_rows
 from bayesid.diagnosis.spectra import Segment
 from bayesid.diagnosis.validation import residual_spectra, without_offset
 from bayesid.effects import Term

@@ -24,14 +24,12 @@ import numpy as np
 
 from bayesid.diagnosis.candidates import column_terms, everywhere, make_library, surroundings
 from bayesid.diagnosis.choice import LEAST_GAP, Choice
-from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.fit import FEW_STEPS, SWEEPS, begin, finish, fit, is_another
+from bayesid.diagnosis.data import DiagnosisData, residual_rows
+from bayesid.diagnosis.fit import FEW_STEPS, SWEEPS, begin, differs_from_zero, distance, finish, fit, is_another
 from bayesid.diagnosis.held_out import held_out_sums, left_by, scaled
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.rivals import Found
-from bayesid.diagnosis.rows import residual_rows
 from bayesid.diagnosis.search import Search
-from bayesid.diagnosis.significance import differs_from_zero, distance
 from bayesid.effects import Effect, Linearisation, Term
 
 #: An effect acts in a channel if it changes it by more than this share, in mean squares, of what it changes most.

@@ -10,10 +10,10 @@ from scipy.stats import chi2
 from bayesid.arguments import argument
 from bayesid.diagnosis.data import WHITE
 from bayesid.diagnosis.in_part import InPart
-from bayesid.diagnosis.residual_floor import SOURCES
+from bayesid.diagnosis.noise_models import SOURCES
+from bayesid.diagnosis.rivals import explained
 from bayesid.diagnosis.search import Found, Search
 from bayesid.diagnosis.stability import Stability
-from bayesid.diagnosis.surrogates import explained
 from bayesid.diagnosis.validation import Gap
 from bayesid.diagnosis.verdict import Reason, Verdict
 from bayesid.effects import Term

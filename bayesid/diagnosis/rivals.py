@@ -1,22 +1,27 @@
-"""Effects that a model can do without, and other effects that would do as well."""
+"""Effects that a model can do without, other effects that would do as well, and combinations that stand in for another.
+
+Payload or inertia error? Both change one link; a payload's change is a body that could exist.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import cvxpy as cp
 import numpy as np
+from scipy.stats import chi2
 
-from bayesid.diagnosis.bodies import as_payload
 from bayesid.diagnosis.contacts import is_excuse
-from bayesid.diagnosis.fit import SWEEPS, Fit, fit
+from bayesid.diagnosis.data import DiagnosisData, term_rows
+from bayesid.diagnosis.fit import SWEEPS, Fit, fit, wald_evidence
 from bayesid.diagnosis.forward import State, exact_fits, in_family
 from bayesid.diagnosis.noise_models import NoiseModels
-from bayesid.diagnosis.rows import term_rows
-from bayesid.diagnosis.significance import wald_evidence
-from bayesid.diagnosis.span import orthonormal
-from bayesid.diagnosis.surrogates import explained, is_surrogate_combination
+from bayesid.diagnosis.projector import orthonormal
 from bayesid.effects import Term
+from bayesid.robot import inertia
+from bayesid.robot.prior import Prior
 
 #: Times the evidence asked for from which an effect needs no fit without it: nine tenths of what a linear model says of it would
 #: have to be made up for by the others.
@@ -151,3 +156,78 @@ def _contains(without: Fit, wider: Term, term: Term) -> bool:
     q = orthonormal(outer)
     left = inner - q @ (q.T @ inner)
     return bool(np.sum(left**2) < (1.0 - data.settings.nearly_all) * np.sum(inner**2))
+
+
+def explained(base: Fit, best: Fit) -> float:
+    """Share of what stands out of the noise on the fitted motions that a model explains."""
+    before, after = (f.chi2 / f.projector.rows - 1.0 for f in (base, best))
+    return 1.0 - after / before if before > 0.0 else 0.0
+
+
+def unrelated(data: DiagnosisData, terms: Sequence[Term]) -> int:
+    """How many unrelated effects there are; one kind in half of the joints, two at least, counts once."""
+    names = [t.effect.name for t in terms]
+    many = max(2, data.robot.n / 2)
+    return sum(1 if names.count(n) >= many else names.count(n) for n in set(names))
+
+
+def is_surrogate_combination(data: DiagnosisData, terms: Sequence[Term]) -> bool:
+    """Whether more effects are needed than a robot is likely to hide."""
+    return unrelated(data, terms) > data.settings.likely_effects
+
+
+_DRAWN = 5000
+#: A link's length, for the solver's units [m].
+_LENGTH = 0.1
+#: Weight of the size of what is not shown beside that of what is, squared standard deviations a squared SI unit.
+_LITTLE = 1e-6
+
+
+def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]:
+    """A change of a link as an attached body, if a possible body is near enough, and what that adds to its evidence.
+
+    Among all changes of a link as large as itself few are bodies that could be attached: if the one found is, that speaks
+    for a payload by one over their share. Any other effect is returned as it is.
+    """
+    term = fitted.terms[index]
+    if (name := term.effect.may_be) is None or not np.isfinite(fitted.score):
+        return term, 0.0
+    at = [column for column, (owner, _) in enumerate(fitted.free) if owner == index]
+    values, covariance = np.array(term.values), dispersion * fitted.covariance[np.ix_(at, at)]
+    # What the data do not show, as all inertia of poses at rest, is whatever a possible body needs, and little.
+    shown = np.diag(covariance) > 0.0
+    size = np.sqrt(np.where(shown, np.diag(covariance), 1.0))
+    spread, axes = np.linalg.eigh((covariance / np.outer(size, size))[np.ix_(shown, shown)])
+    root = np.zeros((len(spread), 10))
+    root[:, shown] = (axes / np.sqrt(np.maximum(spread, max(1e-9 * spread[-1], 1e-300)))).T / size[shown]
+    # In units of the change's own size, so that masses and moments of inertia weigh alike in the solver.
+    body, pseudo = cp.Variable(10), cp.Variable((4, 4), PSD=True)
+    length = np.array([_LENGTH, _LENGTH, _LENGTH, 1.0])
+    basis = (inertia.BASIS / np.outer(length, length)).reshape(10, 16) * size[:, None]
+    same: list[cp.Constraint] = [cp.vec(pseudo, order="C") == basis.T @ body]
+    little = _LITTLE * cp.sum_squares(body[~shown]) if not shown.all() else 0.0
+    problem = cp.Problem(cp.Minimize(cp.sum_squares((root * size) @ body - root @ values) + little), same)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a distance of three digits is accurate enough
+        try:
+            problem.solve(solver=cp.CLARABEL)
+        except cp.SolverError:
+            return term, 0.0
+    if body.value is None:
+        return term, 0.0
+    distance = np.sum(((root * size) @ body.value - root @ values) ** 2)
+    if chi2.sf(distance, len(root)) < 1.0 - fitted.projector.data.settings.interval:
+        return term, 0.0
+    effect = next(e for e in fitted.projector.data.places(name) if e.where == term.effect.where)
+    joint = effect.joint or 0
+    return Term(effect, tuple(size * body.value)), _rarity(fitted.projector.data.links[10 * joint : 10 * joint + 10])
+
+
+def _rarity(link: np.ndarray) -> float:
+    """Log of one over the share of changes of a link, as large as itself, that are possible bodies."""
+    covariance = Prior.warped(link, 1.0).covariance
+    size = np.sqrt(np.diag(covariance))
+    root = size[:, None] * np.linalg.cholesky(covariance / np.outer(size, size) + 1e-12 * np.eye(10))
+    changes = np.random.default_rng(0).normal(size=(_DRAWN, 10)) @ root.T
+    possible = np.linalg.eigvalsh(inertia.pseudo_inertia(changes))[:, 0] >= 0.0
+    return float(np.log(_DRAWN / max(np.count_nonzero(possible), 1)))

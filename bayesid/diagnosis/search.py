@@ -12,15 +12,14 @@ from math import inf
 
 import numpy as np
 
-from bayesid.diagnosis.bodies import as_payload
 from bayesid.diagnosis.candidates import Library, Proposal, surroundings
-from bayesid.diagnosis.fit import Fit, fit
+from bayesid.diagnosis.fit import Fit, differs_from_zero, distance, fit
 from bayesid.diagnosis.forward import State, forward_selection
 from bayesid.diagnosis.noise import with_noise_of
 from bayesid.diagnosis.noise_models import NoiseModels, as_points, prepared
 from bayesid.diagnosis.projector import NuisanceProjector, make_projector
-from bayesid.diagnosis.rivals import Found, Pruned, canonical, essential, prune, with_rivals
-from bayesid.diagnosis.significance import differs_from_zero, distance
+from bayesid.diagnosis.rivals import Found, Pruned, as_payload, canonical, essential, prune, with_rivals
+from bayesid.dynamics.base_parameters import structural_base
 from bayesid.effects import Term
 
 
@@ -127,6 +126,24 @@ def _of_model(s: Search, best: Fit, found: Sequence[Found]) -> Search:
         for k, f in enumerate(found, known)
     )
     return replace(s, best=best, found=own)
+
+
+def base_shifts(search: Search) -> tuple[tuple[str, float, float, float], ...]:
+    """Base parameters that the effects found had moved by more than three standard deviations, most first.
+
+    Each as its label, its values before and after, and by how many standard deviations it had moved.
+    """
+    data = search.projector.data
+    if data.prior is None:
+        return ()
+    base = structural_base(data.robot, data.channels, gravity=True, offset=data.channel != "torque", at_rest=False)
+    inverse = np.linalg.inv(search.projector.r)[: search.projector.root.shape[1]]
+    spread = base.matrix @ search.projector.root @ inverse
+    std = np.sqrt(search.dispersion * np.sum(spread**2, axis=1))
+    before, after = base.matrix @ search.base.links, base.matrix @ search.best.links
+    sigmas = (before - after) / np.maximum(std, 1e-300)
+    order = np.argsort(-np.abs(sigmas))
+    return tuple((base.labels[k], float(before[k]), float(after[k]), float(sigmas[k])) for k in order if abs(sigmas[k]) > 3)
 
 
 __all__ = ["Found", "Pruned", "Search", "certain", "holds_below", "refit", "search"]

@@ -21,10 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import idct
 
+from bayesid.diagnosis.data import model_rows, residual_rows
 from bayesid.diagnosis.fit import ALIVE, Fit
 from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.rivals import Found
-from bayesid.diagnosis.rows import model_rows, residual_rows
 
 #: A parameter is not determined without a block if its variance grows by more than this.
 _LOST = 1e6

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.diagnosis.bootstrap import lower_end
-from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.data import DiagnosisData, model_rows
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import NuisanceProjector, offset_columns
-from bayesid.diagnosis.rows import model_rows
 from bayesid.diagnosis.spectra import Segment
 
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bayesid.diagnosis.in_part import InPart
+from bayesid.diagnosis.rivals import explained, unrelated
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.stability import Stability
-from bayesid.diagnosis.surrogates import explained, unrelated
 from bayesid.diagnosis.validation import Gap
 
 #: ``named_in_part`` is decided on held-out recordings (`bayesid.diagnosis.in_part`) where this module says ``unknown``.

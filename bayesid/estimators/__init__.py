@@ -12,9 +12,8 @@ from scipy.stats import chi2
 from bayesid.errors import BayesidWarning, EstimationError, InputError
 from bayesid.estimators.conic.bounds import Bounds, load_bounds
 from bayesid.estimators.conic.physical import Physical
-from bayesid.estimators.details import CustomDetails, Details
 from bayesid.estimators.errors_in_variables import TotalLeastSquares
-from bayesid.estimators.estimator import Estimate, Estimator
+from bayesid.estimators.estimator import CustomDetails, Details, Estimate, Estimator
 from bayesid.estimators.instrumental_variables import InstrumentalVariables
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from bayesid.estimators.robust.m_estimators import Huber, Student

@@ -24,9 +24,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.estimators.details import OPTIONAL, Details
 from bayesid.estimators.encoder_errors import SPECTRA, covariance_of_sums, sensor_alone
-from bayesid.estimators.estimator import Estimate
+from bayesid.estimators.estimator import OPTIONAL, Details, Estimate
 from bayesid.estimators.factor import Factor, reduce_whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal, weighted_factor
 from bayesid.estimators.weights import Weights, learn_weights, noise_of_residuals

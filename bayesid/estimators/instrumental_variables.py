@@ -29,7 +29,6 @@ from typing import Any
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.estimators.details import Details
 from bayesid.estimators.errors_in_variables import (
     LARGEST_SHIFT,
     Start,
@@ -39,7 +38,7 @@ from bayesid.estimators.errors_in_variables import (
     split_noise,
     strongest,
 )
-from bayesid.estimators.estimator import Estimate
+from bayesid.estimators.estimator import Details, Estimate
 from bayesid.estimators.least_squares import completeness, make_estimate
 from bayesid.regression.blocks import Pair
 from bayesid.regression.hypothesis_tests import hausman

@@ -21,12 +21,10 @@ import numpy as np
 from scipy.optimize import fminbound
 
 from bayesid.errors import InputError
-from bayesid.estimators.details import Details
 from bayesid.estimators.encoder_errors import may_matter, sandwich_middle, with_encoder_errors
-from bayesid.estimators.estimator import Estimate, largest_autocorrelation
-from bayesid.estimators.factor import Factor, reduce_whitened, whitened
+from bayesid.estimators.estimator import Details, Estimate, largest_autocorrelation
+from bayesid.estimators.factor import Factor, reduce_in_coordinates, reduce_whitened, whitened
 from bayesid.estimators.innovation_spectrum import whitened_middle
-from bayesid.estimators.reduction import reduce_in_coordinates
 from bayesid.estimators.weights import Weights, learn_weights, pilot_of
 from bayesid.regression.blocks import residual_of
 from bayesid.regression.linalg import (

@@ -18,11 +18,10 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
-from bayesid.regression.long_segment import LongSegment
 from bayesid.regression.parallel import Once
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
-from bayesid.regression.segment import Segment
+from bayesid.regression.segment import LongSegment, Segment
 from bayesid.signals.smoothing import DEGREE, Smoother, smooth
 
 #: Neighbouring errors are taken for independent up to this correlation of the residuals.

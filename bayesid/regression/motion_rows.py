@@ -7,11 +7,10 @@ from functools import partial
 from threading import Lock
 
 from bayesid.regression.blocks import Block
-from bayesid.regression.long_segment import LongSegment
 from bayesid.regression.row_cache import CACHE_BYTES
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks, row_chunks
-from bayesid.regression.segment import Segment
+from bayesid.regression.segment import LongSegment, Segment
 
 
 class MotionRows:

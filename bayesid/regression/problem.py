@@ -16,7 +16,6 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.bandwidth import LOWEST, BandwidthChoice, choose_bandwidth
 from bayesid.regression.blocks import Block
 from bayesid.regression.encoder_noise import errors_of
-from bayesid.regression.long_segment import LongSegment
 from bayesid.regression.motion_rows import MotionRows, row_count, row_parts
 from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import in_order
@@ -32,7 +31,7 @@ from bayesid.regression.regression import PriorKnowledge, Regression
 from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
-from bayesid.regression.segment import Segment
+from bayesid.regression.segment import LongSegment, Segment
 from bayesid.regression.structure import model_structure
 from bayesid.robot.typical import states_masses, typical_links
 from bayesid.signals.filters import row_noise_poles

@@ -10,8 +10,7 @@ from bayesid.dynamics.channels import Channels, stack_channels, torque_channels,
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import Table
-from bayesid.regression.long_segment import LongSegment
-from bayesid.regression.segment import Segment
+from bayesid.regression.segment import LongSegment, Segment
 
 CHANNELS = ("wrench", "torque", "both")
 

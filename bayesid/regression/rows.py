@@ -17,10 +17,9 @@ import numpy as np
 from bayesid.effects import MotionSegment
 from bayesid.errors import InputError
 from bayesid.regression.blocks import Block
-from bayesid.regression.long_segment import LongSegment
 from bayesid.regression.parallel import in_order
 from bayesid.regression.row_model import RowModel
-from bayesid.regression.segment import Segment
+from bayesid.regression.segment import LongSegment, Segment
 from bayesid.signals.filters import FilterState, low_pass
 from bayesid.signals.projection import HALF_WIDTH, GridProjection, project
 

@@ -13,9 +13,9 @@ from bayesid.diagnosis.data import WHITE, DiagnosisData, Episode
 from bayesid.diagnosis.description.columns import SegmentPart, parts_of
 from bayesid.diagnosis.description.describe import Description
 from bayesid.diagnosis.locate import Disagreement
+from bayesid.diagnosis.noise_models import SOURCES
 from bayesid.diagnosis.push import Push
 from bayesid.diagnosis.remarks import by_kind
-from bayesid.diagnosis.residual_floor import SOURCES
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.separation import Visible
 from bayesid.effects import Effect

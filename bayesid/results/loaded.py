@@ -17,7 +17,7 @@ from bayesid.drawing import Plots, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
-from bayesid.estimators.details import CustomDetails, Details
+from bayesid.estimators.estimator import CustomDetails, Details
 from bayesid.estimators.parameters import HasParameters, Parameters, central_interval, tails
 from bayesid.posterior.convert import load_arviz
 from bayesid.results.comparison import Entry, HasEntries

@@ -24,9 +24,8 @@ from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.push import Push, find_push, less_push, measured_push, without_push
 from bayesid.diagnosis.remarks import next_experiment, remarks
-from bayesid.diagnosis.search import Found, Search, certain, holds_below, search
+from bayesid.diagnosis.search import Found, Search, base_shifts, certain, holds_below, search
 from bayesid.diagnosis.settings import DEFAULT, Settings
-from bayesid.diagnosis.shifts import base_shifts
 from bayesid.diagnosis.stability import Stability, stability
 from bayesid.diagnosis.validation import Gap, residual_spectra, validate
 from bayesid.diagnosis.verdict import Reason, Verdict, evidence_of, named_in_part, verdict

@@ -12,10 +12,9 @@ from scipy.stats import multivariate_normal
 
 import bayesid
 from bayesid.cli import main
-from bayesid.diagnosis.changes.evidence import Marginal, Reduced, gain
+from bayesid.diagnosis.changes.evidence import Marginal, Reduced, amplitudes, gain
 from bayesid.diagnosis.changes.findings import ReferenceComparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis, SharedAmplitudes
-from bayesid.diagnosis.changes.posterior import amplitudes
 from bayesid.diagnosis.changes.reference import learn_reference
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
 from bayesid.diagnosis.settings import DEFAULT

@@ -31,12 +31,12 @@ from bayesid.diagnosis import (
 )
 from bayesid.diagnosis.contacts import is_excuse
 from bayesid.diagnosis.data import Episode, active_terms
+from bayesid.diagnosis.fit import differs_from_zero, distance
 from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.search import certain
 from bayesid.diagnosis.settings import DEFAULT
-from bayesid.diagnosis.significance import differs_from_zero, distance
 from bayesid.effects import EffectLibrary, Term, columns
 from bayesid.effects.families import needs_no_load
 from bayesid.recordings.experiment import load_experiment

@@ -14,13 +14,13 @@ from bayesid import diagnose
 from bayesid.diagnosis import in_part
 from bayesid.diagnosis.candidates import make_library
 from bayesid.diagnosis.choice import Choice
+from bayesid.diagnosis.data import model_rows, residual_rows
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scaled
 from bayesid.diagnosis.in_part import ChannelGroup, InPart, _exact, _together
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import remarks
-from bayesid.diagnosis.rows import model_rows, residual_rows
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.verdict import named_in_part

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesid.diagnosis.span import Span, orthonormal
+from bayesid.diagnosis.projector import Span, orthonormal
 
 
 def left_by(columns, values):

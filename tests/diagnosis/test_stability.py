@@ -7,13 +7,12 @@ import pytest
 from scipy.fft import idct
 
 import bayesid
-from bayesid.diagnosis.data import Episode
+from bayesid.diagnosis.data import Episode, residual_rows
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import moment_sentence
 from bayesid.diagnosis.rivals import Found
-from bayesid.diagnosis.rows import residual_rows
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.stability import _gain, _sums, stability
 from bayesid.effects import Term

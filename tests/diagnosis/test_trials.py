@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bayesid.diagnosis.candidates import make_library
+from bayesid.diagnosis.data import residual_rows
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.projector import make_projector
-from bayesid.diagnosis.rows import residual_rows
 from bayesid.effects import Term, exact
 from bayesid.robot.examples import PAPER_LOCKED
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording

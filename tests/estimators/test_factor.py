@@ -5,8 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from bayesid.estimators.factor import Pilot, reduce_rows
-from bayesid.estimators.reduction import channel_grams, reduce_in_coordinates
+from bayesid.estimators.factor import Pilot, channel_grams, reduce_in_coordinates, reduce_rows
 from bayesid.regression.blocks import Block
 from bayesid.regression.row_cache import RowCache
 from bayesid.signals.noise import NoiseModel

@@ -24,10 +24,9 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.design.payload.body import BodyKnowledge, half_interval
 from bayesid.design.payload.likelihood import along_mass, has_valley
-from bayesid.diagnosis.changes.evidence import gain
+from bayesid.diagnosis.changes.evidence import amplitudes, gain
 from bayesid.diagnosis.changes.findings import ReferenceComparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
-from bayesid.diagnosis.changes.posterior import amplitudes
 from bayesid.diagnosis.changes.scales import SIZES, WANDER_FACTORS
 from bayesid.diagnosis.changes.selection import Accepted
 from bayesid.effects.bodies import Payload

@@ -10,10 +10,9 @@ import numpy as np
 
 from bayesid.design.tell.evidence import Rival
 from bayesid.diagnosis.candidates import Library, make_library
-from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.data import DiagnosisData, model_rows
 from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.projector import make_projector, offset_columns
-from bayesid.diagnosis.rows import model_rows
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Effect, Term

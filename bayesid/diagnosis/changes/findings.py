@@ -9,16 +9,15 @@ from typing import Literal
 
 import numpy as np
 
-from bayesid.diagnosis.changes.evidence import Marginal
+from bayesid.diagnosis.changes.evidence import Amplitudes, Marginal, amplitudes
 from bayesid.diagnosis.changes.held_out import HeldOutErrors, Place, held_out_errors
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
-from bayesid.diagnosis.changes.posterior import Amplitudes, amplitudes
 from bayesid.diagnosis.changes.recording import LaterRecording, chosen_bandwidth, read_recording
 from bayesid.diagnosis.changes.reference import Reference, learn_reference
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
 from bayesid.diagnosis.changes.selection import Accepted, Scores, Selection, select
+from bayesid.diagnosis.fit import outside, squared_distance
 from bayesid.diagnosis.settings import DEFAULT, Settings
-from bayesid.diagnosis.significance import outside, squared_distance
 from bayesid.effects import Term
 from bayesid.recordings.experiment import Experiment
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.diagnosis.bootstrap import lower_end
-from bayesid.diagnosis.changes.posterior import amplitudes
+from bayesid.diagnosis.changes.evidence import amplitudes
 from bayesid.diagnosis.changes.recording import LaterRecording
 from bayesid.diagnosis.changes.selection import Selection
 from bayesid.diagnosis.locate import LISTED

@@ -13,13 +13,11 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import dct, idct
 
-from bayesid.diagnosis.data import DiagnosisData, active_terms
+from bayesid.diagnosis.data import DiagnosisData, active_terms, model_rows
 from bayesid.diagnosis.description.candidates import CandidateTerm
 from bayesid.diagnosis.description.shapes import Range, Shape
 from bayesid.diagnosis.fit import Fit
-from bayesid.diagnosis.projector import UNKNOWN_OFFSET
-from bayesid.diagnosis.rows import model_rows
-from bayesid.diagnosis.span import orthonormal
+from bayesid.diagnosis.projector import UNKNOWN_OFFSET, orthonormal
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Model, variables
 from bayesid.effects.formula import Formula

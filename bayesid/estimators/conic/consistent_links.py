@@ -23,7 +23,7 @@ from scipy.linalg import eigh
 from scipy.stats import chi2
 
 from bayesid.errors import EstimationError
-from bayesid.estimators import reduction
+from bayesid.estimators import factor
 from bayesid.estimators.conic.data import LinkData
 from bayesid.estimators.conic.prior_strength import LinkPrior, nominal_prior
 from bayesid.estimators.conic.region import conic, misfit
@@ -152,7 +152,7 @@ def _inverse_root(regression: Regression, estimate: Estimate) -> tuple[np.ndarra
 
 def channel_grams(regression: Regression) -> np.ndarray:
     """Gram matrix of each channel's regressor and target over all rows (c, p + 1, p + 1), made once for all estimates."""
-    return regression.rows.derived("channel_grams", lambda: reduction.channel_grams(pilot_of(regression).root, regression.rows))
+    return regression.rows.derived("channel_grams", lambda: factor.channel_grams(pilot_of(regression).root, regression.rows))
 
 
 def _prediction_root(regression: Regression, estimate: Estimate) -> np.ndarray:

@@ -31,8 +31,7 @@ from bayesid.estimators.conic.prior_strength import LinkPrior, link_prior
 from bayesid.estimators.conic.problem import Conic, Linear, Solution
 from bayesid.estimators.conic.region import closest_within, conic, misfit
 from bayesid.estimators.conic.solver import Infeasible, solve_conic
-from bayesid.estimators.details import OPTIONAL, Details
-from bayesid.estimators.estimator import Estimate
+from bayesid.estimators.estimator import OPTIONAL, Details, Estimate
 from bayesid.estimators.least_squares import completeness, covariance_middle, likelihood_weights, make_estimate, weighted_factor
 from bayesid.estimators.prior_check import Evidence
 from bayesid.estimators.weights import learn_weights

@@ -25,9 +25,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from bayesid.errors import InputError
-from bayesid.estimators.details import Details
 from bayesid.estimators.encoder_errors import encoder_growth
-from bayesid.estimators.estimator import Estimate
+from bayesid.estimators.estimator import Details, Estimate
 from bayesid.estimators.factor import Factor, gram_rows, reduce_rows, whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal
 from bayesid.estimators.robust.divergence import Directions, ResidualSizes, informative, reasons
