@@ -68,7 +68,8 @@ def forward_selection(state: State, progress: Callable[[str], None], first: Sequ
         state = replace(state, best=better)
         if surrogate:
             break
-        if _families_of(better.terms[state.known :]) < settings.most_families:  # so many are surrogates, however well chosen
+        # More kinds than these are surrogates, however well chosen.
+        if len({t.effect.name for t in better.terms[state.known :]}) < settings.most_families:
             state = _exchanged(state)
         state = measured_dispersion(state)
     return state
@@ -173,11 +174,6 @@ def _exchanged(state: State) -> State:
         if best is before:
             break
     return replace(state, models=models, best=best)
-
-
-def _families_of(terms: Sequence[Term]) -> int:
-    """How many kinds of effects there are."""
-    return len({t.effect.name for t in terms})
 
 
 def in_family(terms: Sequence[Term], index: int) -> bool:

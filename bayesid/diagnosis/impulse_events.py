@@ -70,7 +70,7 @@ def _events(segment: Segment, quiet: np.ndarray, looked: int, level: float) -> t
     if band is None or len(edges) <= settings.enough:
         return ()
     high = _high(segment, band[0])
-    energy, length = _mean_squares(high, edges), float(np.diff(edges).mean())
+    energy, length = np.add.reduceat(high**2, edges[:-1], axis=0) / np.diff(edges)[:, None], float(np.diff(edges).mean())
     share = 1.0 - band[0] / band[1]
     around = max(round(0.5 * settings.window / (segment.step * length)), 3)
     ratio = energy / np.maximum(np.maximum(_usual(energy, around), share * quiet**2), 1e-300)
@@ -99,10 +99,6 @@ def _events(segment: Segment, quiet: np.ndarray, looked: int, level: float) -> t
 def _high(segment: Segment, low: float) -> np.ndarray:
     """Readings above a frequency (N, c)."""
     return np.asarray(sosfiltfilt(butter(_ORDER, low, "high", output="sos", fs=1.0 / segment.step), segment.readings, axis=0))
-
-
-def _mean_squares(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    return np.add.reduceat(values**2, edges[:-1], axis=0) / np.diff(edges)[:, None]
 
 
 def _inside(segment: Segment, edges: np.ndarray) -> np.ndarray:

@@ -48,7 +48,7 @@ def remarks(
     and ``worse`` says whether they make the validation motions worse once they are fitted to all others.
     """
     data = search.projector.data
-    out = _unknown(search, gap, reason) if verdict == "unknown" else []
+    out = _unknown(search, reason) if verdict == "unknown" else []
     if verdict == "unknown" and part is not None:
         out.append(
             f"On recordings held out in turn {', '.join(by_kind(f.term for f in part.search.found))} would close "
@@ -80,7 +80,7 @@ def remarks(
     return tuple(out)
 
 
-def _unknown(search: Search, gap: Gap | None, reason: Reason) -> list[str]:
+def _unknown(search: Search, reason: Reason) -> list[str]:
     """Why nothing is named although something is missing."""
     tried = ", ".join(by_kind(f.term for f in search.found))
     if reason == "residual":

@@ -146,4 +146,4 @@ def base_shifts(search: Search) -> tuple[tuple[str, float, float, float], ...]:
     return tuple((base.labels[k], float(before[k]), float(after[k]), float(sigmas[k])) for k in order if abs(sigmas[k]) > 3)
 
 
-__all__ = ["Found", "Pruned", "Search", "certain", "holds_below", "refit", "search"]
+__all__ = ["Found", "Pruned", "Search", "base_shifts", "certain", "holds_below", "refit", "search"]

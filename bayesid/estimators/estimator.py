@@ -16,6 +16,8 @@ from bayesid.rounding import LEVEL
 from bayesid.section import as_html, as_text
 from bayesid.signals.noise import NoiseModel
 
+__all__ = ["LEVEL", "OPTIONAL", "CustomDetails", "Details", "Estimate", "Estimator", "as_plain", "largest_autocorrelation"]
+
 #: Marks a field that ``to_dict`` leaves out while it is None.
 OPTIONAL = {"optional": True}
 
@@ -87,9 +89,6 @@ def as_plain(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return [as_plain(entry) for entry in value]
     return value
-
-
-__all__ = ["LEVEL", "Estimate", "Estimator", "largest_autocorrelation"]
 
 
 class Estimator(Protocol):

@@ -187,12 +187,9 @@ def _surroundings(problem: Problem) -> Surroundings:
 
 def _minimised(problem: Problem, method: str | Estimator) -> Fitted:
     if not all(np.isfinite(block.rows).all() for block in problem.regression.blocks()):
-        raise InputError(f"readings are not finite where {_specs(problem)} start; state other values in [model.values]")
+        specs = ", ".join(e.spec for e in problem.row_model.effects)
+        raise InputError(f"readings are not finite where {specs} start; state other values in [model.values]")
     return minimise(Fitted(problem, method), Fitted.linearised, _CONTROL)
-
-
-def _specs(problem: Problem) -> str:
-    return ", ".join(e.spec for e in problem.row_model.effects)
 
 
 @dataclass(frozen=True)

@@ -307,16 +307,11 @@ def _known_poles(row_model: RowModel, fitted: Sequence[Segment | LongSegment]) -
 
 
 def _pilot(row_model: RowModel, fitted: Sequence[Segment | LongSegment]) -> Iterator[Block]:
-    """Rows of a long recording's pieces."""
-    return make_blocks(row_model, _pilot_segments(row_model, fitted))
-
-
-def _pilot_segments(row_model: RowModel, segments: Sequence[Segment | LongSegment]) -> list[Segment]:
-    """Short pieces of long segments, evenly spread, that make about `PILOT_ROWS` rows together."""
+    """Rows of short pieces of long segments, evenly spread, about `PILOT_ROWS` together."""
     rows = PILOT_ROWS / PILOT_SEGMENTS * row_model.step
-    whole = sum(r.ends[1] - r.ends[0] for r in segments if not r.poses)
-    out = []
-    for r in segments:
+    whole = sum(r.ends[1] - r.ends[0] for r in fitted if not r.poses)
+    pieces = []
+    for r in fitted:
         begin, end = r.ends
         duration, length = end - begin, rows + row_model.margin + max(row_model.margin, r.settling)
         count = 1 if r.poses else round(PILOT_SEGMENTS * duration / whole)
@@ -324,8 +319,8 @@ def _pilot_segments(row_model: RowModel, segments: Sequence[Segment | LongSegmen
         for start in starts:
             a = r.index(start)
             b = a + PILOT_ROWS if r.poses else r.index(start + length, "right")
-            out.append(r.part(a, b))
-    return out
+            pieces.append(r.part(a, b))
+    return make_blocks(row_model, pieces)
 
 
 def _choose(experiment: Experiment, motions: Sequence[str] | None) -> list[Motion]:

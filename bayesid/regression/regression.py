@@ -209,7 +209,7 @@ class Regression:
         return cls(
             base, (), (), channel, ("",) * channels, tuple(str(k) for k in labels),
             RowCache(
-                partial(_as_given, blocks), samples, channels * (len(base.names) + 1), known_poles=poles, kept=tuple(blocks)
+                partial(list, blocks), samples, channels * (len(base.names) + 1), known_poles=poles, kept=tuple(blocks)
             ),
             PriorKnowledge(bodies=tuple(tuple(b) for b in bodies)),
             instruments=None if beside is None else _GivenInstruments(blocks, beside[:, :, kept], noise).instruments(),
@@ -356,8 +356,3 @@ class _GivenInstruments:
     def instruments(self) -> Instruments:
         """Instruments as estimators take them."""
         return Instruments(self.pairs, self.described, None if self.noise is None else self.drawn)
-
-
-def _as_given(blocks: list[Block]) -> list[Block]:
-    """Blocks that are there already, as a source of rows."""
-    return blocks

@@ -88,7 +88,8 @@ def _inside(joint: int, joints: Sequence[int], names: Sequence[str], ranges: Ran
     yield from _products([linear, *load[:4]], [*few, *place])
     yield from _products(courses, [*few, *place, *drag, linear, load[0]])
     # What fades with speed, as Stribeck's friction does.
-    fading = [ShapeFactor("exp(-({x} / {n})**2)", v, "speed", number=w, step=0.5 * w) for w in _widths(v, ranges)]
+    widths = [share * ranges(v).size for share in (0.02, 0.06, 0.2)]
+    fading = [ShapeFactor("exp(-({x} / {n})**2)", v, "speed", number=w, step=0.5 * w) for w in widths]
     yield from _products([sense], fading)
     yield from (single(x, f, sense) for x in (*place, *courses, load[0]) for f in (*fading, *place, load[0]) if x != f)
     yield from (single(x, drag_, load[0]) for x in courses for drag_ in drag)
@@ -148,7 +149,3 @@ def _pairs(joints: Sequence[int]) -> Iterator[Shape]:
 def _products(left: Iterable[ShapeFactor], right: Iterable[ShapeFactor]) -> Iterator[Shape]:
     second = list(right)
     return (single(x, y) for x in left for y in second)
-
-
-def _widths(v: str, ranges: Ranges) -> list[float]:
-    return [share * ranges(v).size for share in (0.02, 0.06, 0.2)]
