@@ -16,21 +16,18 @@ from scipy.stats import chi2, multivariate_normal
 
 from bayesid import diagnose
 from bayesid.diagnosis import (
-    bodies,
     candidates,
     encoders,
     fit,
     forward,
     projector,
     rivals,
-    rows,
     search,
     spectra,
-    surrogates,
     validation,
 )
 from bayesid.diagnosis.contacts import is_excuse
-from bayesid.diagnosis.data import Episode, active_terms
+from bayesid.diagnosis.data import Episode, active_terms, residual_rows, term_rows
 from bayesid.diagnosis.fit import differs_from_zero, distance
 from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.noise_models import NoiseModels
@@ -120,7 +117,7 @@ def test_what_nearly_complete_models_leave_is_no_third_effect(record):
         base, best = fit.fit(nuisance, ()), fit.fit(nuisance, terms)
         models = NoiseModels.of(0, (), candidates.make_library(nuisance, base))
         few, rest = rivals.essential(rivals.Pruned(forward.State(models, base, best, 1.0)))
-        assert surrogates.is_surrogate_combination(comparison, best.terms)
+        assert rivals.is_surrogate_combination(comparison, best.terms)
         assert [t.effect.spec for t in rest] == dropped
         assert [t.effect.spec for t in few.state.best.terms] == [n for n in names if n not in dropped]
 
@@ -167,7 +164,7 @@ def test_projecting_the_links_out_equals_fitting_them(record):
     folder, _ = record("links", "none", [], "torque", trust=0.05, seed=8)
     data, nuisance = made(folder, "torque")
     base = fit.fit(nuisance, ())
-    measured = rows.residual_rows(data, data.segments, data.links, np.zeros(2), ())
+    measured = residual_rows(data, data.segments, data.links, np.zeros(2), ())
     columns = np.vstack([s.white(data.link_columns(s, ())) @ nuisance.root for s in data.segments])
     stacked, target = np.vstack([columns, np.eye(columns.shape[1])]), np.concatenate([measured, np.zeros(columns.shape[1])])
     u, left, *_ = np.linalg.lstsq(stacked, target, rcond=None)
@@ -324,7 +321,7 @@ def test_a_diverged_model_is_refused(record, monkeypatch):
         diverged = fit.fit(nuisance, (term,))
         assert diverged.score == -np.inf and diverged.chi2 == np.inf
         assert not diverged.covariance.any() and np.isfinite(diverged.residual).all()
-        assert bodies.as_payload(diverged, 0, 1.0) == (diverged.terms[0], 0.0)
+        assert rivals.as_payload(diverged, 0, 1.0) == (diverged.terms[0], 0.0)
     models = NoiseModels.of(0, (), library)
     assert forward.exact_fits(models, base, (), [replace(p, gain=1e3) for p in proposals], 1.0)[1] == []
 
@@ -337,7 +334,7 @@ def test_a_changed_link_is_priced_by_its_marginal_likelihood(record):
     [effect] = [e for e in data.places("inertia_error") if e.where == "joint2"]
     changed = fit.fit(nuisance, (Term(effect, (0.0,) * 10),), base)
     zero = np.zeros(data.robot.n)
-    measured = rows.residual_rows(data, data.segments, data.links, zero, ())
+    measured = residual_rows(data, data.segments, data.links, zero, ())
     links = np.vstack([s.white(data.link_columns(s, ())) for s in data.segments])
     own = Prior.warped(data.links[10:20], 1.0).covariance
     plain = np.eye(len(measured)) + links @ nuisance.root @ (links @ nuisance.root).T
@@ -371,11 +368,11 @@ def test_readings_that_are_linear_in_the_links_are_not_predicted_anew(record, ot
     terms = tuple(Term(e, tuple(np.clip(e.typical(data.robot), e.lower, e.upper))) for e in effects)
     u = 0.01 * np.random.default_rng(3).normal(size=nuisance.size)
     links, offset = nuisance.split(u)
-    exact = rows.residual_rows(data, data.segments, links, offset, terms)
+    exact = residual_rows(data, data.segments, links, offset, terms)
     np.testing.assert_allclose(nuisance.residual(u, terms), exact, rtol=0.0, atol=1e-7 * np.abs(exact).max())
     for t in terms[:3]:  # their columns are made at the joint alone, too
         assert needs_no_load(t.effect)
-        own = rows.term_rows(data, data.segments, links, (), t)
+        own = term_rows(data, data.segments, links, (), t)
         full = np.vstack([
             s.white(columns(data.robot, data.channels, s.scene, links, terms, t.effect, t.values)) for s in data.segments
         ])  # fmt: skip
@@ -393,7 +390,7 @@ def test_derivatives_from_close_by_end_where_those_made_anew_do(record, monkeypa
 
     def counted(*given):
         count.append(1)
-        return rows.term_rows(*given)
+        return term_rows(*given)
 
     monkeypatch.setattr(fit, "term_rows", counted)
 
