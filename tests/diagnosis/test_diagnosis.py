@@ -384,7 +384,7 @@ def test_derivatives_from_close_by_end_where_those_made_anew_do(record, monkeypa
     folder, _ = record("kept", "pair", ["dahl_friction", "torque_delay"], "torque", seed=12)
     _, nuisance = made(folder, "torque")
     data, count = nuisance.data, []
-    names = ("dahl_friction", "torque_ripple", "spring", "viscous_friction")
+    names = ("dahl_friction", "torque_offset", "viscous_friction")
     effects = [*(e for name in names for e in data.places(name)), data.places("torque_delay")[0]]
     terms = tuple(Term(e, tuple(np.clip(e.typical(data.robot), e.lower, e.upper))) for e in effects)
 
@@ -407,8 +407,8 @@ def test_derivatives_from_close_by_end_where_those_made_anew_do(record, monkeypa
     assert few.score == pytest.approx(anew.score, abs=0.05)
     one, other = (np.concatenate([t.values for t in f.terms]) for f in (few, anew))
     std, other_std = (np.sqrt(np.diag(f.covariance)) for f in (few, anew))
-    shown = anew.determined & (np.abs(other) > 5.0 * other_std)  # where a stiffness is none, its rest may be anything
-    assert np.count_nonzero(shown) >= 5
+    shown = anew.determined & (np.abs(other) > 5.0 * other_std)
+    assert np.count_nonzero(shown) >= 4  # level and distance of both that act
     # A fit has settled where chi2 changes by less than 0.02: a seventh of a standard deviation.
     assert np.all(np.abs(one - other)[shown] < np.sqrt(fit._SETTLED) * other_std[shown])
     np.testing.assert_allclose(std[shown], other_std[shown], rtol=0.02)
