@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 from scipy.interpolate import make_interp_spline
 
 from bayesid.errors import InputError
@@ -196,6 +195,8 @@ def write_trajectory(trajectory: Trajectory, path: str | Path) -> None:
     joints = range(1, trajectory.positions.shape[1] + 1)
     names = ["t", *(f"{letter}{j}" for letter in "qva" for j in joints)]
     cells = np.column_stack([trajectory.times, trajectory.positions, trajectory.velocities, trajectory.accelerations])
+    import pandas as pd  # it takes long, and few need it
+
     pd.DataFrame(cells, columns=names).to_csv(path, index=False, float_format=_DIGITS)
 
 
@@ -260,6 +261,8 @@ def _accelerations(path: Path, joints: int) -> np.ndarray | None:
     """Columns ``a1 ... an`` (N, n) of a table whose other columns were read; None where they are not all there."""
     if path.suffix.lower() != ".csv":
         return None
+    import pandas as pd
+
     names = [f"a{j}" for j in range(1, joints + 1)]
     head = pd.read_csv(path, nrows=0, skipinitialspace=True, encoding="utf-8-sig")
     head.columns = [str(c).strip() for c in head.columns]
