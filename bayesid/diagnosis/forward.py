@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.diagnosis.candidates import Library, Proposal
+from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.fit import FEW_STEPS, STEPS, SWEEPS, Fit, advance, begin, finish, fit
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.settings import Settings
@@ -52,7 +53,7 @@ def forward_selection(state: State, progress: Callable[[str], None], first: Sequ
     """
     settings = state.settings
     state = measured_dispersion(state)
-    for _ in range(settings.most_families):
+    while True:
         progress("naming what is missing")
         models, better = _one_more(state, first)
         first = None
@@ -68,11 +69,15 @@ def forward_selection(state: State, progress: Callable[[str], None], first: Sequ
         state = replace(state, best=better)
         if surrogate:
             break
-        # More kinds than these are surrogates, however well chosen.
-        if len({t.effect.name for t in better.terms[state.known :]}) < settings.most_families:
-            state = _exchanged(state)
-        state = measured_dispersion(state)
+        state = measured_dispersion(_exchanged(state))
+        if stands_in(state):  # nothing would be named, however many more came in
+            break
     return state
+
+
+def stands_in(state: State) -> bool:
+    """Whether the best model's effects are too many to be named: they stand in for what the library lacks."""
+    return is_surrogate_combination(state.best.projector.data, state.best.terms[state.known :])
 
 
 def measured_dispersion(state: State) -> State:
@@ -179,3 +184,15 @@ def _exchanged(state: State) -> State:
 def in_family(terms: Sequence[Term], index: int) -> bool:
     """Whether the same kind of effect is in the model at several other joints, too; two may be a coincidence."""
     return sum(t.effect.name == terms[index].effect.name for t in terms) > 2
+
+
+def unrelated(data: DiagnosisData, terms: Sequence[Term]) -> int:
+    """How many unrelated effects there are; one kind in half of the joints, two at least, counts once."""
+    names = [t.effect.name for t in terms]
+    many = max(2, data.robot.n / 2)
+    return sum(1 if names.count(n) >= many else names.count(n) for n in set(names))
+
+
+def is_surrogate_combination(data: DiagnosisData, terms: Sequence[Term]) -> bool:
+    """Whether more effects are needed than a robot is likely to hide."""
+    return unrelated(data, terms) > data.settings.likely_effects

@@ -6,7 +6,7 @@ Payload or inertia error? Both change one link; a payload's change is a body tha
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import cvxpy as cp
@@ -14,9 +14,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from bayesid.diagnosis.contacts import is_excuse
-from bayesid.diagnosis.data import DiagnosisData, term_rows
+from bayesid.diagnosis.data import term_rows
 from bayesid.diagnosis.fit import SWEEPS, Fit, fit, wald_evidence
-from bayesid.diagnosis.forward import State, exact_fits, in_family
+from bayesid.diagnosis.forward import State, exact_fits, in_family, is_surrogate_combination
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.projector import orthonormal
 from bayesid.effects import Term
@@ -162,18 +162,6 @@ def explained(base: Fit, best: Fit) -> float:
     """Share of what stands out of the noise on the fitted motions that a model explains."""
     before, after = (f.chi2 / f.projector.rows - 1.0 for f in (base, best))
     return 1.0 - after / before if before > 0.0 else 0.0
-
-
-def unrelated(data: DiagnosisData, terms: Sequence[Term]) -> int:
-    """How many unrelated effects there are; one kind in half of the joints, two at least, counts once."""
-    names = [t.effect.name for t in terms]
-    many = max(2, data.robot.n / 2)
-    return sum(1 if names.count(n) >= many else names.count(n) for n in set(names))
-
-
-def is_surrogate_combination(data: DiagnosisData, terms: Sequence[Term]) -> bool:
-    """Whether more effects are needed than a robot is likely to hide."""
-    return unrelated(data, terms) > data.settings.likely_effects
 
 
 _DRAWN = 5000

@@ -14,7 +14,7 @@ import numpy as np
 
 from bayesid.diagnosis.candidates import Library, Proposal, surroundings
 from bayesid.diagnosis.fit import Fit, differs_from_zero, distance, fit
-from bayesid.diagnosis.forward import State, forward_selection
+from bayesid.diagnosis.forward import State, forward_selection, measured_dispersion, stands_in
 from bayesid.diagnosis.noise import with_noise_of
 from bayesid.diagnosis.noise_models import NoiseModels, as_points, prepared
 from bayesid.diagnosis.projector import NuisanceProjector, make_projector
@@ -52,9 +52,15 @@ def search(projector: NuisanceProjector, terms: Sequence[Term], seed: int, progr
     state = forward_selection(replace(state, models=models), progress, first)
     if (points := as_points(state.best, seed)) is not None:
         progress("readings as values at their times")
-        state = forward_selection(_start(make_projector(points, terms), terms, seed), progress)
+        again = _start(make_projector(points, terms), terms, seed)
+        if stands_in(state):
+            state = measured_dispersion(replace(again, best=fit(again.base.projector, state.best.terms, state.best)))
+        else:
+            state = forward_selection(again, progress)
     pruned = prune(state)
-    if len(pruned.state.best.terms) > pruned.state.known:
+    few, _ = essential(pruned)
+    # The exact noise of a model whose effects will not be named anyway is not worth the time.
+    if len(pruned.state.best.terms) > pruned.state.known and not stands_in(few.state):
         progress("noise as the new model passes it on")
         pruned = prune(refit(pruned.state, progress))
     pruned, dropped = essential(pruned)

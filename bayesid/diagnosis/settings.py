@@ -24,8 +24,6 @@ class Settings:
     #: More unrelated effects at once are taken for surrogates: with one chance in three for each, three at once are no more
     #: likely than one that the library lacks (`outside_library`).
     likely_effects: int = 2
-    #: Families of effects sought: twice as many as are named, so that a first choice can go once others are in. Seen.
-    most_families: int = 4
 
     # -- probabilities
 

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from bayesid.diagnosis.forward import unrelated
 from bayesid.diagnosis.in_part import InPart
-from bayesid.diagnosis.rivals import explained, unrelated
+from bayesid.diagnosis.rivals import explained
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.stability import Stability

@@ -153,17 +153,13 @@ def diagnose(
 
         whole, push = prepared(), None
         suspected = find_push(fit(make_projector(whole, whole.terms), whole.terms)) if channel == "wrench" else None
-        # More effects than are ever named at once would imitate a push for a long time.
-        few = replace(whole, settings=replace(settings, most_families=settings.likely_effects))
-        result = searched(few if suspected else whole)
+        result = searched(whole)
         # What pushed with a constant force may have wavered: so much that it is worth a course?
         if suspected and (result.verdict == "unknown" or any(f.term.effect.once for f in result.sure.found)):
             push = find_push(result.search.base, result.search.best)
         if push is not None:
             progress("without the time of a push")
             result = searched(without_push(whole, push, seed))
-        elif suspected and result.verdict == "unknown":
-            result = searched(whole)
         if push is None and result.verdict == "unknown" and (below := holds_below(result.search)) < inf:
             again = searched(prepared(below))
             result = result if again.verdict == "unknown" else again

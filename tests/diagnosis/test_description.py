@@ -16,7 +16,6 @@ from bayesid.diagnosis.description.shapes import Shape, ShapeFactor, single
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.projector import make_projector
-from bayesid.diagnosis.settings import DEFAULT
 from bayesid.recordings.schema import read_model
 from tests.report_pages import read
 from tests.simulated import Motion, experiment, fourier, puma2, recording
@@ -65,9 +64,7 @@ def robot(tmp_path_factory):
 @pytest.fixture(scope="module")
 def found(robot):
     """A hose that the first joint drags along pulls at the second."""
-    # One round of naming: more would go through the library for as long again and name nothing.
-    quick = replace(DEFAULT, most_families=1)
-    return bayesid.diagnose(made(robot, lambda q, v: LEVEL * bristle(q[:, 0])), settings=quick)
+    return bayesid.diagnose(made(robot, lambda q, v: LEVEL * bristle(q[:, 0])))
 
 
 def test_what_no_effect_explains_is_described(found):
