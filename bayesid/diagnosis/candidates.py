@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from bayesid.diagnosis.contacts import contact_terms
-from bayesid.diagnosis.data import DiagnosisData, model_rows, residual_rows, term_rows
+from bayesid.diagnosis.data import DiagnosisData, residual_rows, term_rows
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import NuisanceProjector, Span, orthonormal
 from bayesid.diagnosis.spectra import Segment
@@ -117,7 +117,7 @@ class Library:
     def propose(self, fit: Fit) -> list[Proposal]:
         """Proposals beside the effects of a fit, best gain first; one for each effect and place."""
         projector, data = self.projector, self.projector.data
-        found = orthonormal(projector.columns(model_rows(data, data.segments, fit.links, fit.terms)))
+        found = orthonormal(projector.columns(fit.jacobian))
         left = projector.project_out(np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)]))
         left = left - found @ (found.T @ left)
         taken, best = self._taken(fit), {}
@@ -180,7 +180,7 @@ class Library:
     def unexplained(self, fit: Fit) -> tuple[np.ndarray, int]:
         """Whitened rows less all that the fit and all columns together explain (rows,), and how many directions that takes."""
         projector = self.projector
-        model = projector.columns(model_rows(projector.data, projector.data.segments, fit.links, fit.terms))
+        model = projector.columns(fit.jacobian)
         left = projector.project_out(np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)]))
         both = self._span.with_more(model, self._rounding)
         return both.project_out(left)[: projector.length], both.rank

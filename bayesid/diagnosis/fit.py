@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import chi2
@@ -72,6 +73,11 @@ class Fit:
     coordinates: np.ndarray  # the links and the offset in the coordinates of `NuisanceProjector` (size,)
     residual: np.ndarray  # whitened rows (rows,)
     derivatives: Mapping[Effect, Derivatives]  # of the readings, by effect that is fitted
+
+    @cached_property
+    def jacobian(self) -> np.ndarray:
+        """Whitened derivatives of the readings with respect to all free parameters (rows, k)."""
+        return _side_by_side(self.projector, self.terms, self.derivatives)
 
     def std(self, index: int, dispersion: float) -> np.ndarray:
         """Standard deviations of one term's free parameters, by its index; infinite where the data do not determine them."""

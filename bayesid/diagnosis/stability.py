@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import idct
 
-from bayesid.diagnosis.data import model_rows, residual_rows
+from bayesid.diagnosis.data import residual_rows
 from bayesid.diagnosis.fit import ALIVE, Fit
 from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.rivals import Found
@@ -158,8 +158,7 @@ def _ranges(found: Found, steps: np.ndarray, lost: np.ndarray) -> tuple[tuple[fl
 
 def _sums(projector: NuisanceProjector, best: Fit, known: int) -> tuple[_Sums, list[Moment]]:
     data = projector.data
-    jacobian = model_rows(data, data.segments, best.links, best.terms)
-    kept = projector.columns(jacobian)
+    kept, jacobian = projector.columns(best.jacobian), best.jacobian
     kept[:, np.linalg.norm(kept, axis=0) < ALIVE * np.linalg.norm(jacobian, axis=0)] = 0.0
     traces = [
         residual_rows(data, data.segments, best.links, best.offset, tuple(t for k, t in enumerate(best.terms) if k != i))

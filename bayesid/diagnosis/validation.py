@@ -115,7 +115,6 @@ def _parameter_share(projector: NuisanceProjector, best: Fit, dispersion: float)
         inverse = np.linalg.inv(projector.r)[: projector.root.shape[1]]
         share += float(np.sum((links @ inverse) ** 2))
         # Where an effect's estimate is off, the links have made up for it on the fitted motions.
-        fitted = model_rows(data, data.segments, best.links, best.terms)
-        effects = effects - links @ (inverse @ (projector.q[: projector.length].T @ fitted))
+        effects = effects - links @ (inverse @ (projector.q[: projector.length].T @ best.jacobian))
     share += float(np.einsum("ij,jk,ik->", effects, best.covariance, effects))
     return dispersion * share

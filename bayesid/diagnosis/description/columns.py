@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import dct, idct
 
-from bayesid.diagnosis.data import DiagnosisData, active_terms, model_rows
+from bayesid.diagnosis.data import DiagnosisData, active_terms
 from bayesid.diagnosis.description.candidates import CandidateTerm
 from bayesid.diagnosis.description.shapes import Range, Shape
 from bayesid.diagnosis.fit import Fit
@@ -233,7 +233,7 @@ def halves(fit: Fit) -> tuple[Half, Half]:
     data = projector.data
     whole = parts_of(data, data.segments, fit)
     fixed = projector.q[: projector.length] @ projector.r
-    rows = np.hstack([fixed, model_rows(data, data.segments, fit.links, fit.terms), fit.residual[:, None]])
+    rows = np.hstack([fixed, fit.jacobian, fit.residual[:, None]])
     found = rows.shape[1] - fixed.shape[1] - 1
     below = np.zeros((projector.size, rows.shape[1]))
     below[:, : projector.size] = np.eye(projector.size)
