@@ -3,11 +3,11 @@
     python -m tests.studies.diagnosis_settings --work DIR [--count 20] [--seed 77] [--jobs 1] [--only NAME,...] [--quick]
         [--docs DIR]
 
-Recordings come from the independent plant of case_studies/blind_naming. Every diagnosis is kept in DIR/diagnoses.json as soon as
-it is made, and none is made twice: the run can be interrupted and taken up again. Recording after recording is finished, and the
-page tells of those that are. A threshold changes a diagnosis only where a comparison comes out differently; where none does, that
-one is not made again (`Compared`). What limits computing and is no threshold (`LIMITS`) is moved likewise once the thresholds are
-done.
+Recordings come from the independent plant of case_studies/blind_naming. The diagnoses of a recording are kept in
+DIR/diagnoses.json as soon as all are made, and none is made twice: the run can be interrupted and taken up again. The page tells
+of the recordings that are finished. A threshold changes a diagnosis only where a comparison comes out differently; where none
+does, that one is not made again (`Compared`). What limits computing and is no threshold (`LIMITS`) is moved likewise once the
+thresholds are done.
 ``--quick`` takes two recordings and four thresholds, to see that the script works. Writes docs/studies/diagnosis-settings from
 what there is.
 """
@@ -21,7 +21,7 @@ import json
 import multiprocessing
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from importlib import import_module
 from pathlib import Path
@@ -31,6 +31,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "case_studies" / "blin
 
 import numpy as np
 from judge import CLAIMS, within
+from tqdm import tqdm
 
 import bayesid
 from bayesid.diagnosis.settings import DEFAULT, Settings
@@ -246,7 +247,7 @@ def diagnosed(folder: Path, channel: str, name: str | None, way: int) -> dict[st
     Compared.open.clear()
     try:
         with held:
-            result = bayesid.diagnose(folder, channel, settings=settings)
+            result = bayesid.diagnose(folder, channel, settings=settings, progress=None)
         open_ = sorted(f"{own} {side:+d}" for own, side in Compared.open)  # what is written beside names is none of it
         said = result.to_dict()
         effects = [{key: e[key] for key in ("name", "where", "ambiguous_with")} for e in said["effects"]]
@@ -315,33 +316,39 @@ def main(arguments: list[str] | None = None) -> None:
     store = options.work / "diagnoses.json"
     made = json.loads(store.read_text(encoding="utf-8")) if store.exists() else {}
 
-    def make(wanted: list[tuple[str, dict[str, Any], str | None, int]]) -> None:
-        """The diagnoses that have not been made, kept as they come."""
-        fresh = multiprocessing.get_context("spawn")
+    def keep() -> None:
+        kept = store.with_suffix(".part")
+        kept.write_text(json.dumps(made, indent=1), encoding="utf-8")
+        kept.replace(store)
+        written(made, names, limits, cases, options.docs)
+
+    fresh = multiprocessing.get_context("spawn")
+    for some in (names, limits):
         with concurrent.futures.ProcessPoolExecutor(options.jobs, mp_context=fresh) as pool:
             folder = options.work / "recordings"
-            runs = {
-                pool.submit(diagnosed, folder / case["case"], case["channel"], name, way): key
-                for key, case, name, way in wanted
-                if key not in made
-            }
-            for run in concurrent.futures.as_completed(runs):
-                made[runs[run]] = run.result()
-                print(f"{runs[run]}: {run.result()['verdict']}", flush=True)
-                kept = store.with_suffix(".part")
-                kept.write_text(json.dumps(made, indent=1), encoding="utf-8")
-                kept.replace(store)
+            open_ = [c for c in cases if not all(key in made for key in _keys(c["case"], some))]
+            runs = [pool.submit(of_recording, folder / c["case"], c["channel"], c["case"], some, made) for c in open_]
+            for run in tqdm(concurrent.futures.as_completed(runs), total=len(runs), mininterval=10.0):
+                made.update(run.result())
+                keep()
+    keep()
 
-    for some in (names, limits):
-        for case in cases:
-            make([(f"{case['case']} as it stands", case, None, 0)])
-            plain = made[f"{case['case']} as it stands"]
-            keys = [(f"{case['case']} {name} {way:+d}", case, name, way) for name in some for way in (-1, 1)]
-            alike = {k: plain for k, _, name, way in keys if name not in LIMITS and f"{name} {way:+d}" not in plain["open"]}
-            made.update(alike)
-            make(keys)
-            store.write_text(json.dumps(made, indent=1), encoding="utf-8")
-            written(made, names, limits, cases, options.docs)
+
+def _keys(case: str, some: Sequence[str]) -> dict[str, tuple[str, int]]:
+    """Of every number moved both ways: the name of its diagnosis."""
+    return {f"{case} {name} {way:+d}": (name, way) for name in some for way in (-1, 1)}
+
+
+def of_recording(folder: Path, channel: str, case: str, some: Sequence[str], made: dict[str, Any]) -> dict[str, Any]:
+    """The diagnoses of one recording that have not been made."""
+    first = f"{case} as it stands"
+    plain = made.get(first) or diagnosed(folder, channel, None, 0)
+    alike = {name for name in some if name not in LIMITS}
+    return {first: plain} | {
+        key: plain if name in alike and f"{name} {way:+d}" not in plain["open"] else diagnosed(folder, channel, name, way)
+        for key, (name, way) in _keys(case, some).items()
+        if key not in made
+    }
 
 
 if __name__ == "__main__":
