@@ -59,7 +59,7 @@ class Choice:
     def evidence(self, kept: Sequence[int], index: int) -> float:
         """Log evidence that one of the effects kept adds to the others."""
         others = [*self.users, *(k for k in kept if k != index)]
-        return 0.5 * (self.sums.cost(others) - self.sums.cost([*others, index])) - float(self.sums.prices[index])
+        return float(0.5 * (self.sums.cost(others) - self.sums.cost([*others, index])) - self.sums.prices[index])
 
     def without_unproven(self, kept: list[int], before: np.ndarray) -> list[int]:
         """Leave out the effect whose loss costs least on held-out recordings until all of them are proven."""

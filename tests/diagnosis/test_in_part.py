@@ -128,7 +128,7 @@ def test_sums_give_what_a_fit_to_the_rows_gives(diagnosis):
         """Coefficients and squared residual of least squares with rows for the links' prior beneath."""
         prior = np.hstack([np.eye(links.shape[1]), np.zeros((links.shape[1], len(kept)))])
         stacked = np.vstack([np.hstack([links, effects[:, kept]])[rows] / unit, prior])
-        full = np.concatenate([target[rows] / unit, -sums.start])
+        full = np.concatenate([target[rows] / unit, -s.best.coordinates[: links.shape[1]]])
         step = np.linalg.lstsq(stacked, full, rcond=None)[0]
         return step, np.sum((full - stacked @ step) ** 2)
 

@@ -14,7 +14,7 @@ from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import moment_sentence
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.settings import DEFAULT
-from bayesid.diagnosis.stability import _gain, _sums, stability
+from bayesid.diagnosis.stability import _grams, stability
 from bayesid.effects import Term
 from bayesid.robot.examples import PAPER_LOCKED
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -92,27 +92,29 @@ def test_one_step_is_a_fit_without_the_block(robot):
         _, without = refitted(projector, best.terms[1:], best, weight)
         estimates.append(values)
         evidence.append(0.5 * (without - with_it) - 0.5 * np.log(projector.rows))
-    gain, tilt = stability(projector, best, 0, found, 1.0)
+    own, tilt = stability(projector, best, 0, found, 1.0)
     # The same three parts alone: the extremes over all parts hold them, and every one of them moves by its own step.
-    sums, moments = _sums(projector, best, 0)
-    assert len(moments) == gain.blocks == BLOCKS and moments[0].start == pytest.approx(s.times[0])
+    grams, moments = _grams(projector, best, 0)
+    assert len(moments) == own.blocks == BLOCKS and moments[0].start == pytest.approx(s.times[0])
     start = np.concatenate([t.values for t in best.terms])
     for k, values, log in zip((0, 3, 4), estimates, evidence, strict=True):
-        gram = sums.whole - sums.blocks[k]
-        step = sums.solved(gram)[0][projector.size :]
+        gram = grams.whole - grams.blocks[k]
+        step = grams.fitted(gram, [0, 1])[1]
         assert np.max(np.abs(start + step - values) / np.sqrt(np.diag(best.covariance))) < 0.03
-        assert 0.5 * _gain(sums, gram, [0], 0) - 0.5 * np.log(projector.rows) == pytest.approx(log, rel=0.01)
-        assert gain.ranges[0][0] - 1e-5 <= values[0] <= gain.ranges[0][1] + 1e-5
+        gain = 0.5 * (grams.cost([1], gram) - grams.cost([0, 1], gram))
+        assert gain - 0.5 * np.log(projector.rows) == pytest.approx(log, rel=0.01)
+        assert own.ranges[0][0] - 1e-5 <= values[0] <= own.ranges[0][1] + 1e-5
         assert tilt.ranges[1][0] - 1e-5 <= values[2] <= tilt.ranges[1][1] + 1e-5
-    assert gain.least <= min(evidence) * 1.01
+    assert own.least <= min(evidence) * 1.01
 
 
 def test_blocks_add_up_to_the_whole(robot):
     """Parseval: the blocks of time and the prior hold all inner products of the rows by frequency."""
     projector, best, _ = fitted(robot, lambda t: GAIN, ("sensor_gain", "mx"))
-    sums, _ = _sums(projector, best, 0)
-    assert sums.whole[-1, -1] == pytest.approx(best.chi2, rel=1e-9)
-    np.testing.assert_allclose(sums.whole[: projector.size, : projector.size], np.eye(projector.size), atol=1e-9)
+    grams, _ = _grams(projector, best, 0)
+    whole = grams.whole + grams.prior
+    assert whole[-1, -1] == pytest.approx(best.chi2, rel=1e-9)
+    np.testing.assert_allclose(whole[: projector.size, : projector.size], np.eye(projector.size), atol=1e-9)
 
 
 def test_a_steady_effect_rests_on_no_moment(robot):
