@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayesid.diagnosis.bootstrap import lower_end
+from bayesid.diagnosis.gap import lower_end, share_of_gap
 from bayesid.diagnosis.held_out import HeldOutSums
 from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Effect, Term
@@ -19,8 +19,6 @@ Possible = Callable[[Sequence[int], int], bool]
 _TRIED = 6
 #: Log evidence that makes no difference.
 _AS_MUCH = 0.1
-#: A gap is no less than this share of the mean square that the user's model leaves.
-LEAST_GAP = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +43,7 @@ class Choice:
         def closed(sums: np.ndarray) -> np.ndarray:
             """From sums of rows, of what is closed and of the gap (draws, 3)."""
             rows, closed, gap = sums.T
-            return closed / np.maximum(gap - self.floor * rows, LEAST_GAP * gap)
+            return share_of_gap(closed, gap, self.floor * rows)
 
         blocks = np.column_stack([self.sums.counts, worse - better, before])
         low = lower_end(blocks, closed, self.settings, self.seed)

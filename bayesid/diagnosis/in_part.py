@@ -23,9 +23,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.diagnosis.candidates import column_terms, everywhere, make_library, surroundings
-from bayesid.diagnosis.choice import LEAST_GAP, Choice
+from bayesid.diagnosis.choice import Choice
 from bayesid.diagnosis.data import DiagnosisData, residual_rows
 from bayesid.diagnosis.fit import FEW_STEPS, SWEEPS, begin, differs_from_zero, distance, finish, fit, is_another
+from bayesid.diagnosis.gap import LEAST_GAP, share_of_gap
 from bayesid.diagnosis.held_out import held_out_sums, left_by, scaled
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.rivals import Found
@@ -59,8 +60,8 @@ def channel_groups(s: Search) -> tuple[ChannelGroup, ...]:
         before = float(sums.squares(range(users)).sum())
         after = float(sums.squares(range(len(s.best.terms))).sum())
         rows = sum(float(x.shape[0] * (x.alive & mask).sum()) for x in (*data.segments, *data.unseen))
-        gap = max(before - noise_share(s.projector.data, left[0], mask) * rows, LEAST_GAP * before)
-        closed = (before - after) / gap if gap > 0.0 else 0.0
+        floor = noise_share(s.projector.data, left[0], mask) * rows
+        closed = float(share_of_gap(before - after, before, floor)) if before > 0.0 else 0.0
         out.append(ChannelGroup(tuple(s.found[n].term.effect.spec for n in members), tuple(map(str, names[mask])), closed))
     return tuple(out)
 
@@ -128,7 +129,7 @@ class InPart:
     def remainder(self) -> float:
         """Share of the gap that stays."""
         before, *_, after, floor = self.courses
-        return float(np.clip((after - floor) / max(before - floor, LEAST_GAP * before), 0.0, 1.0))
+        return float(np.clip(1.0 - share_of_gap(before - after, before, floor), 0.0, 1.0))
 
 
 def proven_effects(s: Search, seed: int) -> InPart | None:

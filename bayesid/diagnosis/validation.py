@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesid.diagnosis.bootstrap import lower_end
 from bayesid.diagnosis.data import DiagnosisData, model_rows
 from bayesid.diagnosis.fit import Fit
+from bayesid.diagnosis.gap import lower_end, share_of_gap
 from bayesid.diagnosis.projector import NuisanceProjector, offset_columns
 from bayesid.diagnosis.spectra import Segment
 
@@ -80,19 +80,15 @@ def validate(
     if not complete:
         floor2 = min(bare2, *whole)
     energy = np.concatenate([_by_blocks(s, b, a) for s, b, a in zip(data.unseen, before, after, strict=True)])
-    low = lower_end(energy, lambda x: _closed(x[:, 0] / x[:, 2], x[:, 1] / x[:, 2], floor2), data.settings, seed)
+    low = lower_end(energy, lambda x: share_of_gap(x[:, 0] - x[:, 1], x[:, 0], floor2 * x[:, 2]), data.settings, seed)
     room = whole[0] > floor2  # there is a gap to close
     return Gap(
         before=np.sqrt(whole[0]), after=np.sqrt(whole[1]), floor=np.sqrt(floor2),
-        closed=float(_closed(whole[0], whole[1], floor2)) if room else np.nan,
+        closed=float(share_of_gap(whole[0] - whole[1], whole[0], floor2)) if room else np.nan,
         closed_low=float(low) if room else np.nan,
         difference=float(sum(np.sum((b - a) ** 2) for b, a in zip(before, after, strict=True))),
         motions=tuple(dict.fromkeys(s.motion for s in data.unseen)),
     )  # fmt: skip
-
-
-def _closed(before, after, floor2):
-    return (before - after) / np.maximum(before - floor2, 1e-3 * floor2)
 
 
 def _by_blocks(segment: Segment, before: np.ndarray, after: np.ndarray) -> np.ndarray:

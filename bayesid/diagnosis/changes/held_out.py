@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesid.diagnosis.bootstrap import lower_end
 from bayesid.diagnosis.changes.evidence import amplitudes
 from bayesid.diagnosis.changes.recording import LaterRecording
 from bayesid.diagnosis.changes.selection import Selection
+from bayesid.diagnosis.gap import lower_end, share_of_gap
 from bayesid.diagnosis.locate import LISTED
 from bayesid.diagnosis.settings import Settings
 from bayesid.estimators.dispersion import STRETCHES
@@ -111,9 +111,8 @@ def _residuals(selection: Selection, recording: LaterRecording) -> np.ndarray:
 def _shares(means: np.ndarray) -> np.ndarray:
     """Of the gap: closed in all, and by each change (..., 1 + m); from mean squares as `_residuals` orders them."""
     floor = means.min(axis=-1, keepdims=True)
-    gap = np.maximum(means[..., :1] - floor, 1e-3 * floor)
-    closed = means[..., :1] - means[..., -3:-2]
-    return np.concatenate([closed, means[..., :-4] - means[..., 1:-3]], axis=-1) / gap
+    closed = np.concatenate([means[..., :1] - means[..., -3:-2], means[..., :-4] - means[..., 1:-3]], axis=-1)
+    return share_of_gap(closed, means[..., :1], floor)
 
 
 def _groups(recording: LaterRecording) -> np.ndarray:

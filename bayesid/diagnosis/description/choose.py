@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesid.diagnosis.bootstrap import lower_end
 from bayesid.diagnosis.candidates import Library
 from bayesid.diagnosis.description.candidates import CandidateTerm
 from bayesid.diagnosis.description.columns import Half
+from bayesid.diagnosis.gap import lower_end, share_of_gap
 from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Effect
 
@@ -185,6 +185,6 @@ def closed(half: Half, before: np.ndarray, after: np.ndarray, settings: Settings
     energy = np.stack([half.by_block(x, settings.window) for x in (before, after)], axis=1)
 
     def share(pair):
-        return (pair[..., 0] - pair[..., 1]) / np.maximum(pair[..., 0] - half.count, 1e-3 * half.count)
+        return share_of_gap(pair[..., 0] - pair[..., 1], pair[..., 0], half.count)
 
     return float(share(energy.sum(axis=0))), float(lower_end(energy, share, settings, seed))
