@@ -21,6 +21,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from bayesid.diagnosis.data import DiagnosisData, term_rows
+from bayesid.diagnosis.grams import schwarz
 from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Effect, Term
@@ -319,7 +320,7 @@ def price(data: DiagnosisData, rows: int, terms: Sequence[Term], free: Sequence[
         elif mine.shape[1]:
             length = np.linalg.norm(mine, axis=0)
             unit = mine / np.where(length > 0, length, 1.0)
-            total += 0.5 * len(_eigen(unit.T @ unit)[0]) * np.log(rows)
+            total += schwarz(len(_eigen(unit.T @ unit)[0]), rows)
     return total
 
 
@@ -372,7 +373,7 @@ def squared_distance(values: np.ndarray, covariance: np.ndarray) -> float:
 def wald_evidence(best: Fit, index: int, dispersion: float) -> float:
     """Log evidence of one effect among many from its estimate and covariance alone, without a fit that leaves it out."""
     squared, count = distance(best, index)
-    return (0.5 * squared - 0.5 * count * np.log(best.projector.rows)) / dispersion
+    return (0.5 * squared - schwarz(count, best.projector.rows)) / dispersion
 
 
 def differs_from_zero(best: Fit, index: int, dispersion: float = 1.0) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 from bayesid.diagnosis.candidates import Library, Proposal
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.fit import FEW_STEPS, STEPS, SWEEPS, Fit, advance, begin, finish, fit
+from bayesid.diagnosis.grams import schwarz
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Term
@@ -114,8 +115,8 @@ def _families(library: Library, proposals: Sequence[Proposal], dispersion: float
         kind = p.term.effect
         if kind.at == "joint" and kind.channels == ("torque",) and 0.5 * p.gain > settings.accept * dispersion:
             kinds.setdefault(kind.name, []).append(p)
-    each = 0.5 * np.log(library.projector.rows)
-    worth = {name: sum(0.5 * p.gain - each * len(p.term.values) for p in members) for name, members in kinds.items()}
+    rows = library.projector.rows
+    worth = {name: sum(0.5 * p.gain - schwarz(len(p.term.values), rows) for p in members) for name, members in kinds.items()}
     order = sorted((name for name in kinds if len(kinds[name]) > 1), key=lambda name: -worth[name])
     return [tuple(p.term for p in kinds[name]) for name in order[:_FAMILIES]]
 

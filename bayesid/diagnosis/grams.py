@@ -25,6 +25,11 @@ _FLAT = 1e-9
 _SEEN = 1e-7
 
 
+def schwarz(parameters, rows: float):
+    """Log evidence that so many parameters cost: half the logarithm of the number of rows for each [Schwarz1978]_."""
+    return 0.5 * parameters * float(np.log(max(rows, 2.0)))
+
+
 @dataclass(frozen=True, eq=False)
 class Grams:
     """Inner products of columns: what is always in the model, effects' parameters, effects' traces, residual."""
@@ -88,8 +93,8 @@ class Grams:
 
     @cached_property
     def prices(self) -> np.ndarray:
-        """Log evidence that each effect's parameters cost: half the logarithm of the number of rows for each [Schwarz1978]_."""
-        return 0.5 * self._parameters * float(np.log(max(self.rows / self.correlation, 2.0)))
+        """Log evidence that each effect's parameters cost."""
+        return schwarz(self._parameters, self.rows / self.correlation)
 
     @cached_property
     def _parameters(self) -> np.ndarray:

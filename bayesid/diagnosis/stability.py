@@ -80,7 +80,7 @@ def stability(
             out.append(None)
             continue
         gains = np.maximum(grams.cost([i for i in every if i != index], parts) - complete, 0.0)  # of chi2, all else fitted anew
-        price = 0.5 * len(at) * np.log(projector.rows) / dispersion
+        price = grams.prices[index] / dispersion
         share = np.clip(gains[1:] / max(gains[0], 1e-300), 0.0, None)
         left = (f.gain + price) * share - price
         worst = int(np.argmin(left))

@@ -124,13 +124,16 @@ class Marginal:
             null = null + vector @ mean - 0.5 * np.einsum("i,kij,j->k", mean, gram, mean)
             vector = vector - gram @ mean
         added = np.vstack([np.diag(change.sizes), np.zeros((len(columns) - len(change.sizes), len(change.sizes)))])
-        without = null + _gain(gram, vector, always)
-        with_it = [null + _gain(gram, vector, np.hstack([always, size * added])) for size in SIZES]
+        without = null + added_evidence(gram, vector, always)
+        with_it = [null + added_evidence(gram, vector, np.hstack([always, size * added])) for size in SIZES]
         return without, np.array(with_it)
 
 
-def _gain(gram: np.ndarray, vector: np.ndarray, root: np.ndarray) -> np.ndarray:
-    """What columns with Gram matrices (K, k, k) and products with the target (K, k) add, amplitudes having a root (k, m)."""
+def added_evidence(gram: np.ndarray, vector: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """Log evidence that columns with Gram matrices (K, k, k) and products with the target (K, k) add.
+
+    Beforehand the amplitudes have a covariance of root (k, m).
+    """
     if not root.shape[1]:
         return np.zeros(len(vector))
     lower = np.linalg.cholesky(np.eye(root.shape[1]) + root.T @ gram @ root)

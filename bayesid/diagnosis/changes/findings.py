@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesid.diagnosis.changes.evidence import Amplitudes, Marginal, amplitudes
+from bayesid.diagnosis.changes.evidence import Amplitudes, Marginal, added_evidence, amplitudes
 from bayesid.diagnosis.changes.held_out import HeldOutErrors, Place, held_out_errors
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
 from bayesid.diagnosis.changes.recording import LaterRecording, chosen_bandwidth, read_recording
@@ -57,12 +57,8 @@ def _smallest(marginal: Marginal, change: Hypothesis, needed: float) -> float:
 
     def evidence(value: float) -> float:
         seen = gram @ (value * typical)
-        out = []
-        for size in SIZES:
-            scale = size * change.sizes
-            lower = np.linalg.cholesky(np.eye(len(scale)) + gram * np.outer(scale, scale))
-            out.append(0.5 * np.sum(np.linalg.solve(lower, scale * seen) ** 2) - np.log(np.diag(lower)).sum())
-        return float(np.logaddexp.reduce(out) - np.log(len(SIZES)))
+        added = [added_evidence(gram[None], seen[None], np.diag(size * change.sizes))[0] for size in SIZES]
+        return float(np.logaddexp.reduce(added) - np.log(len(SIZES)))
 
     if evidence(high) < needed:
         return float("inf")

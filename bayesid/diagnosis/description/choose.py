@@ -12,6 +12,7 @@ from bayesid.diagnosis.candidates import Library
 from bayesid.diagnosis.description.candidates import CandidateTerm
 from bayesid.diagnosis.description.columns import Half
 from bayesid.diagnosis.gap import lower_end, share_of_gap
+from bayesid.diagnosis.grams import schwarz
 from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Effect
 
@@ -158,7 +159,7 @@ def _evidence(half: Half, gain: np.ndarray, free: np.ndarray, tried: np.ndarray)
     n, whole = half.count, float(half.residual @ half.residual)
     before, after = max(whole / n, 1.0), np.maximum((whole - gain) / n, 1.0)
     likelihood = 0.5 * (n * np.log(before / after) + whole / before - (whole - gain) / after)
-    return likelihood - 0.5 * free * np.log(n) - np.log(tried)
+    return likelihood - schwarz(free, n) - np.log(tried)
 
 
 def adapted(half: Half, candidate: CandidateTerm) -> tuple[CandidateTerm, float]:
