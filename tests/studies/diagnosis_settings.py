@@ -42,7 +42,7 @@ QUICK = ("accept", "unexplained", "nearly_all", "most")
 #: Thresholds that are used in sums, products and comparisons; others, such as a time or a band, change what is computed.
 COMPARED = (
     "accept", "rival", "likely_effects", "nearly_all", "unexplained", "hopeless", "coloured_ratio", "enough", "short_step",
-    "level", "detected", "outside_library",
+    "level", "detected", "outside_library", "shortest_segment",
 )  # fmt: skip
 #: What limits computing, ``module.NAME`` of bayesid.diagnosis: steps, rounds, draws, rows listed, and how exact a number is made.
 LIMITS = (
