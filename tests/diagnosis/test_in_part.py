@@ -16,12 +16,13 @@ from bayesid.diagnosis.candidates import make_library
 from bayesid.diagnosis.choice import Choice
 from bayesid.diagnosis.data import model_rows, residual_rows
 from bayesid.diagnosis.fit import fit
+from bayesid.diagnosis.forward import unrelated
 from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scaled
 from bayesid.diagnosis.in_part import ChannelGroup, InPart, _exact, _together
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import remarks
-from bayesid.diagnosis.search import Search
+from bayesid.diagnosis.search import Search, search
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.verdict import named_in_part
 from bayesid.effects import EffectLibrary, MotionSegment, Term
@@ -90,6 +91,23 @@ def test_the_gap_is_in_units_of_a_noise_that_is_alike_at_all_frequencies(diagnos
     for model, told in ((diagnosis.search.base, diagnosis.gap.before), (diagnosis.search.best, diagnosis.gap.after)):
         left = [s.measured_readings - s.spectrum(data.predict(s, model.links, model.terms)) for s in data.unseen]
         assert np.sqrt(np.mean(np.concatenate(left) ** 2 / level)) == pytest.approx(told, rel=1e-6)
+
+
+def test_a_search_ends_where_its_effects_are_too_many_to_be_named(diagnosis):
+    """Neither the noise of such a model nor its rivals are worth the time: it is where what is proven in part starts from."""
+    hidden = {
+        "viscous_friction@joint1": {"coefficient": 9.0}, "coulomb_friction@joint2": {"level": 6.0},
+        "torque_offset@joint1": {"offset": 3.0}, "spring@joint2": {"stiffness": 20.0, "rest": 0.5},
+    }  # fmt: skip
+    arm = replace(diagnosis.data.experiment, motions=())
+    motions = [fourier_trajectory(arm.robot, seed=1, duration=10.0, rate=100.0)]
+    recorded = simulate(arm, motions, effects=hidden, perturb=0.05, seed=3)
+    data, phases = prepare_data(recorded, "torque", (), None, 0), []
+    found = search(make_projector(data, ()), (), 0, phases.append)
+    assert unrelated(data, found.best.terms) == DEFAULT.likely_effects + 1
+    assert phases.count("naming what is missing") <= DEFAULT.likely_effects + 1
+    assert "noise as the new model passes it on" not in phases
+    assert not any(f.rivals for f in found.found)
 
 
 def test_it_is_told_in_words_and_in_the_report(diagnosis):
