@@ -34,7 +34,7 @@ class RippleScan:
         self.orders = np.array(effects[0].harmonics)
         channel_of = {joint: channel for channel, joint in data.segments[0].torque_channels}
         self.at = [(channel_of[e.joint], e.joint) for e in self.effects if e.joint is not None]
-        self.spectra = [s.scene.basis.get(self._key(s), lambda s=s: self._waves(s)) for s in data.segments]
+        self.spectra = [s.trajectory.basis.get(self._key(s), lambda s=s: self._waves(s)) for s in data.segments]
 
     def _key(self, segment: Segment) -> tuple:
         """What the coefficients of one segment depend on, whatever its noise."""
@@ -43,7 +43,7 @@ class RippleScan:
 
     def _waves(self, segment: Segment) -> np.ndarray:
         """Coefficients of the sines and cosines (K, joints, orders, 2)."""
-        angle = segment.scene.positions[:, [j for _, j in self.at], None] * self.orders
+        angle = segment.trajectory.positions[:, [j for _, j in self.at], None] * self.orders
         parts = [segment.course(np.cos(angle)), segment.course(np.sin(angle))]
         return np.stack(parts, axis=-1).astype(np.float32)
 
@@ -302,7 +302,7 @@ def surroundings(data: DiagnosisData) -> Surroundings:
     """What effects may want to know of the recordings."""
     sensor = data.experiment.sensor
     return surroundings_of(
-        data.robot, [s.scene for s in data.segments], data.links, data.channel, sensor is not None and sensor.joint is None,
+        data.robot, [s.trajectory for s in data.segments], data.links, data.channel, sensor is not None and sensor.joint is None,
         static_run=data.offset_free, links_known=data.experiment.inertia_rel_std is not None,
     )  # fmt: skip
 

@@ -61,7 +61,7 @@ def contact_terms(projector: NuisanceProjector, fit: Fit, left: np.ndarray) -> I
         tried = windows(s)
         if not tried:
             continue
-        course = np.stack([pulse(s.scene.times, a, b) for a, b in tried], axis=1)
+        course = np.stack([pulse(s.trajectory.times, a, b) for a, b in tried], axis=1)
         spectrum = s.course(course)  # (K, windows)
         whitener = s.whitener
         score = np.einsum("kw,kdc,kd->wc", spectrum, whitener, mine, optimize=True)

@@ -93,11 +93,11 @@ class DiagnosisData:
 
     def predict(self, segment: Segment, links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
         """Readings of a segment (M, c)."""
-        return readings(self.robot, self.channels, segment.scene, links, active_terms(segment, terms))
+        return readings(self.robot, self.channels, segment.trajectory, links, active_terms(segment, terms))
 
     def link_columns(self, segment: Segment, terms: Sequence[Term]) -> np.ndarray:
         """Their derivatives with respect to the links, at the nominal ones (N, c, 10 b)."""
-        return rigid_columns(self.robot, self.channels, segment.scene, self.links, active_terms(segment, terms))
+        return rigid_columns(self.robot, self.channels, segment.trajectory, self.links, active_terms(segment, terms))
 
 
 def residual_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, offset: np.ndarray, terms: Sequence[Term]):
@@ -133,14 +133,14 @@ def _white_columns(data: DiagnosisData, segment: Segment, links: np.ndarray, ter
         live = np.arange(len(data.channels)) == channels[effect.joint]
 
         def made() -> np.ndarray:
-            model = Model.of(data.robot, data.channels, segment.scene, data.links, beside)
+            model = Model.of(data.robot, data.channels, segment.trajectory, data.links, beside)
             with np.errstate(all="ignore"):  # as above
                 return segment.spectrum(effect_derivatives_at_joint(model, effect, term.values)[:, None], live)
 
         key = effect, term.values if effect.shape else (), beside
         return segment.white_rows(live, segment.kept.get(key, made))
     with np.errstate(all="ignore"):  # as above
-        found = columns(data.robot, data.channels, segment.scene, links, terms, effect, term.values)
+        found = columns(data.robot, data.channels, segment.trajectory, links, terms, effect, term.values)
     return segment.white(found)
 
 

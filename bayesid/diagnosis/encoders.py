@@ -35,7 +35,7 @@ def with_noise(
     exact, settings = predict(segment), segment.settings
     smoothed_positions = segment.encoders
     if not segment.apart:
-        smoothed_positions = smooth(segment.times, segment.encoders, segment.scene.bandwidth)[0]
+        smoothed_positions = smooth(segment.times, segment.encoders, segment.trajectory.bandwidth)[0]
     channels = exact.shape[1]
     signal = segment.spectrum(exact)
     scatter = np.zeros((len(segment.frequencies), channels, channels))
@@ -108,7 +108,7 @@ class Encoders:
         out: dict[int, list[Segment]] = {i: [] for i in sorted(wanted)}
         if not (self.resolution.any() or self.position_std.any()):
             return out
-        exact = {i: smooth(s.times, s.encoders, s.scene.bandwidth)[0] for i, s in enumerate(segments) if i in wanted}
+        exact = {i: smooth(s.times, s.encoders, s.trajectory.bandwidth)[0] for i, s in enumerate(segments) if i in wanted}
         for _ in range(ROUNDINGS):
             shift = rng.uniform(-0.5, 0.5, len(self.resolution)) * self.resolution
             for i, q in exact.items():

@@ -132,16 +132,16 @@ def unlikely(ratio: np.ndarray, freedom: np.ndarray | float, settings: Settings)
 
 def kicks(segment: Segment) -> np.ndarray:
     """Samples at which friction may kick the arm (N,): a joint reverses, starts or stops, or rests and may creep and slip."""
-    scene, settings = segment.scene, segment.settings
-    step = float(np.median(np.diff(scene.times)))
-    fastest = np.abs(scene.velocities).max(axis=0)
-    speed = scene.velocities[:, fastest > 10.0 * REST_SPEED]
+    trajectory, settings = segment.trajectory, segment.settings
+    step = float(np.median(np.diff(trajectory.times)))
+    fastest = np.abs(trajectory.velocities).max(axis=0)
+    speed = trajectory.velocities[:, fastest > 10.0 * REST_SPEED]
     moves = np.abs(speed) > np.maximum(settings.rest_share * np.abs(speed).max(axis=0), 2.0 * REST_SPEED)
     rests = np.any(binary_opening(~moves, np.ones((max(round(settings.moment / step), 1), 1), bool)), axis=1)
     sign = np.where(moves, np.sign(speed), 0.0)
     turns = np.concatenate([[False], (sign[1:] != sign[:-1]).any(axis=1)])
     near = np.asarray(binary_dilation(turns, iterations=max(round(settings.moment / step), 1)))
-    return np.interp(segment.times, scene.times, np.where(near, 1.0, rests)) > 0.0
+    return np.interp(segment.times, trajectory.times, np.where(near, 1.0, rests)) > 0.0
 
 
 def _is_tap(high: np.ndarray, peak: int, step: float, usual: float, settings: Settings) -> bool:

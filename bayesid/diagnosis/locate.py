@@ -186,8 +186,8 @@ def _joint(data: DiagnosisData, segment: Segment, residual: np.ndarray, span: sl
     shares = []
     for j in range(data.robot.n):
         q, v, a = (
-            np.interp(at, segment.scene.times, part[:, j])
-            for part in (segment.scene.positions, segment.scene.velocities, segment.scene.accelerations)
+            np.interp(at, segment.trajectory.times, part[:, j])
+            for part in (segment.trajectory.positions, segment.trajectory.velocities, segment.trajectory.accelerations)
         )
         if np.ptp(q) < 1e-3:
             shares.append(0.0)

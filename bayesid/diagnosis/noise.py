@@ -36,9 +36,9 @@ def at_instants(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], s
         out = []
         for s in segments:
             if not s.still:
-                old = s.scene
-                scene = smoothed(s.times, s.encoders, s.times, old.bandwidth, s.still, old.middle_positions, old.clear)
-                s = replace(s, scene=scene, instant=True)
+                old = s.trajectory
+                trajectory = smoothed(s.times, s.encoders, s.times, old.bandwidth, s.still, old.middle_positions, old.clear)
+                s = replace(s, trajectory=trajectory, instant=True)
             out.append(s)
         return tuple(out)
 
@@ -57,7 +57,7 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
     sensor = {still: sensor_noise([s for s in everything if s.still == still]) for still in sorted({s.still for s in everything})}
     moving = [s for s in everything if not s.still]
     count = _encoder_counts(data, moving)
-    smooth_ = [smooth(s.times, s.encoders, s.scene.bandwidth)[0] for s in moving]
+    smooth_ = [smooth(s.times, s.encoders, s.trajectory.bandwidth)[0] for s in moving]
     error = np.sqrt(np.mean([np.mean((s.encoders - q) ** 2, axis=0) for s, q in zip(moving, smooth_, strict=True)], axis=0))
     random = np.sqrt(np.maximum(error**2 - count**2 / 12.0, 0.0))
     random = np.where(random > 0.5 * count, random, 0.0)
@@ -68,10 +68,10 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
         return data.predict(segment, links, terms)
 
     def resmooth(segment: Segment, read: np.ndarray) -> Segment:
-        old = segment.scene
+        old = segment.trajectory
         at = old.times, old.bandwidth, segment.still, old.middle_positions, old.clear, old.cell
-        scene = smoothed(segment.times, read, *at)
-        return replace(segment, scene=scene)
+        trajectory = smoothed(segment.times, read, *at)
+        return replace(segment, trajectory=trajectory)
 
     filtered = low_passed(moving)
     spectrum = data.spectrum
@@ -110,7 +110,8 @@ def _poses_with_noise(data: DiagnosisData, links: np.ndarray, terms: Sequence[Te
         return tuple(
             with_noise(
                 s, lambda segment: data.predict(segment, links, terms),
-                lambda segment, read: replace(segment, scene=replace(segment.scene, positions=read)), noise, count, random, rng,
+                lambda segment, read: replace(segment, trajectory=replace(segment.trajectory, positions=read)), noise, count,
+                random, rng,
             )
             for s in segments
         )  # fmt: skip
@@ -132,7 +133,7 @@ def pose_noise(data: DiagnosisData) -> np.ndarray:
     q, read = (np.concatenate([getattr(s, name) for s in every]) for name in ("encoders", "readings"))
     rigid = dynamics_regressor(data.robot, data.channels, q, 0.0 * q, 0.0 * q)
     beside = np.column_stack([rigid @ data.robot.nominal.ravel(), np.ones(len(q))])
-    elapsed = np.concatenate([s.scene.elapsed for s in every])
+    elapsed = np.concatenate([s.trajectory.elapsed for s in every])
     drift, pulls = elapsed - elapsed.mean(), _pulls(data, every)
     plain, freedom, enough = _axis_noise(rigid, beside, pulls, read)
     others = [_axis_noise(rigid, np.column_stack([beside, drift]), pulls, read)[:2]]
@@ -199,7 +200,7 @@ def _pulls(data: DiagnosisData, segments: Sequence[Segment]) -> np.ndarray:
     joint = int(data.robot.body_joint[carried[0]])
     cable = Tether(f"joint{joint + 1}", joint)
     taut = (1.0, *(0.0,) * (len(cable.parameters) - 1))
-    each = [columns(data.robot, data.channels, s.scene, data.links, (), cable, taut) for s in segments]
+    each = [columns(data.robot, data.channels, s.trajectory, data.links, (), cable, taut) for s in segments]
     return np.concatenate(each)[:, :, [0, 2, 3, 4]]
 
 
@@ -242,7 +243,7 @@ def smoothed(
     clear: float | None = None,
     cell: float = 0.0,
 ) -> MotionSegment:
-    """The scene of encoder readings (N, n) on a grid (M,); ``cell`` as in `MotionSegment`."""
+    """The trajectory of encoder readings (N, n) on a grid (M,); ``cell`` as in `MotionSegment`."""
     q, v, a = smooth(times, positions, bandwidth, at=np.clip(grid, times[0], times[-1]))
     if still:
         v, a = 0.0 * v, 0.0 * a

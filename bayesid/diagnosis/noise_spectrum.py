@@ -90,8 +90,8 @@ class Spectrum:
 def course(segment: Segment) -> Course:
     """Its positions on an even grid (M,), (M, n)."""
     times = np.arange(segment.times[0], segment.times[-1], 1.0 / RATE)
-    inner = np.clip(times, segment.scene.times[0], segment.scene.times[-1])
-    return times, CubicSpline(segment.scene.times, segment.scene.positions)(inner)
+    inner = np.clip(times, segment.trajectory.times[0], segment.trajectory.times[-1])
+    return times, CubicSpline(segment.trajectory.times, segment.trajectory.positions)(inner)
 
 
 def repeat_pieces(
@@ -114,10 +114,10 @@ def repeat_pieces(
         later = times + r.lag
         values = _left(b, predicted[r.second], later) - _left(a, predicted[r.first], times)
         errors = [
-            CubicSpline(b.scene.times, y)(later) - CubicSpline(a.scene.times, x)(times)
+            CubicSpline(b.trajectory.times, y)(later) - CubicSpline(a.trajectory.times, x)(times)
             for x, y in zip(wrong[r.first], wrong[r.second], strict=True)
         ]
-        edge = taper(times, times, a.scene.bandwidth, a.settings)[:, None]
+        edge = taper(times, times, a.trajectory.bandwidth, a.settings)[:, None]
         weight = edge * a.mobile(times) * b.mobile(later)
         known = np.array([_detrended(times, e) for e in errors]).reshape(-1, *values.shape)
         length, periodic = r.end - r.start, r.first == r.second
@@ -130,7 +130,7 @@ def repeat_pieces(
 
 def _left(segment: Segment, predicted: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Readings less predicted ones at any times within a segment (k, c)."""
-    own = segment.readings - CubicSpline(segment.scene.times, predicted)(segment.times)
+    own = segment.readings - CubicSpline(segment.trajectory.times, predicted)(segment.times)
     return CubicSpline(segment.times, own)(times)
 
 
@@ -281,7 +281,7 @@ def measure(
     channels = range(len(white))
     # A drive at rest holds with friction whatever it takes, and that may wander: no reason to distrust white noise.
     torques = {c for s in segments for c, _ in s.torque_channels}
-    standing = [rest_piece(*r, segments[0].scene.bandwidth, settings) for r in rests]
+    standing = [rest_piece(*r, segments[0].trajectory.bandwidth, settings) for r in rests]
     sources = [
         ("repeats", repeat_pieces(segments, repeats, encoders.predict, roundings), channels),
         ("parked", standing, [c for c in channels if c not in torques]),

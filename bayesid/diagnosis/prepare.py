@@ -157,11 +157,13 @@ def _segments(
             times, positions, read = times[whole], positions[whole], read[whole]
             rate = (_FRICTION_RATE if channel != "wrench" else _RATE) * settings.band
             grid = even_grid(times, rate)
-            scene = smoothed(times, positions, grid, bandwidth, still, middle, clear, float(grid[1] - grid[0]))
+            trajectory = smoothed(times, positions, grid, bandwidth, still, middle, clear, float(grid[1] - grid[0]))
             joints = () if channel == "wrench" else experiment.torque_joints
             torques = tuple((read.shape[1] - len(joints) + k, j) for k, j in enumerate(joints))
             out.append(
-                Segment(motion.name, motion.role, times, positions, read, scene, still, torques, np.zeros(0), settings=settings)
+                Segment(
+                    motion.name, motion.role, times, positions, read, trajectory, still, torques, np.zeros(0), settings=settings
+                )
             )
     return out
 
@@ -172,9 +174,9 @@ def _poses(experiment: Experiment, motion: Motion, channel: str, middle: np.ndar
     times, still = np.arange(len(table), dtype=float), np.zeros_like(table.positions)
     if len(table) <= settings.shortest_segment:
         return []
-    scene = MotionSegment(table.times, table.positions, still, still, True, np.inf, middle, in_turn=True)
+    trajectory = MotionSegment(table.times, table.positions, still, still, True, np.inf, middle, in_turn=True)
     read = readings_of(experiment, table, channel)
-    return [Segment(motion.name, motion.role, times, table.positions, read, scene, True, (), np.zeros(0), settings=settings)]
+    return [Segment(motion.name, motion.role, times, table.positions, read, trajectory, True, (), np.zeros(0), settings=settings)]
 
 
 def _fast_count(count: int) -> int:

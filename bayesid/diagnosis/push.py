@@ -96,7 +96,7 @@ class _Moments:
     def share(self, k: int) -> np.ndarray:
         """How far a recording has faded in at its moments (K,)."""
         s = self.segments[k]
-        return taper(self.times(k), s.times, s.scene.bandwidth, s.settings)
+        return taper(self.times(k), s.times, s.trajectory.bandwidth, s.settings)
 
     def outside(self, inside: slice) -> np.ndarray:
         """Which moments are not in a window (N,)."""
@@ -237,9 +237,9 @@ class _Place:
         always = (s.times[0] - 1.0, s.times[-1] + 1.0, 0.0, 0.0, 0.0)
 
         def readings(point: np.ndarray) -> np.ndarray:
-            slopes = columns(data.robot, data.channels, s.scene, data.links, beside, effect, (*always, *point))[:, :, 2:5]
+            slopes = columns(data.robot, data.channels, s.trajectory, data.links, beside, effect, (*always, *point))[:, :, 2:5]
             flat = slopes.reshape(len(slopes), -1)
-            at = np.stack([np.interp(times, s.scene.times, column) for column in flat.T], axis=1)
+            at = np.stack([np.interp(times, s.trajectory.times, column) for column in flat.T], axis=1)
             return (at * moments.share(k)[:, None]).reshape(len(times), *slopes.shape[1:])
 
         origin = readings(np.zeros(3))
@@ -258,9 +258,9 @@ def less_push(experiment: Experiment, push: Push) -> Experiment:
     def less(table: Table) -> Table:
         times, still = table.times, np.zeros_like(table.positions)
         force = np.stack([np.interp(times, push.times, axis, 0.0, 0.0) for axis in push.force.T], axis=1)
-        scene = MotionSegment(times, table.positions, still, still, False, np.inf)
+        trajectory = MotionSegment(times, table.positions, still, still, False, np.inf)
         always = (times[0] - 1.0, times[-1] + 1.0, 0.0, 0.0, 0.0, *push.values[5:])
-        unit = columns(experiment.robot, channels, scene, experiment.robot.nominal, (), push.effect, always)[:, :, 2:5]
+        unit = columns(experiment.robot, channels, trajectory, experiment.robot.nominal, (), push.effect, always)[:, :, 2:5]
         return table if table.wrench is None else replace(table, wrench=table.wrench - (unit @ force[:, :, None])[:, :, 0])
 
     motions = tuple(replace(m, table=less(m.table)) if m.name == push.motion else m for m in experiment.motions)
@@ -287,10 +287,10 @@ def _moments(data: DiagnosisData, fit: Fit) -> _Moments | None:
         offsets[:, axes, at + axes] = courses(s.measured_ones)
         mine = [courses(s.spectrum(data.link_columns(s, fit.terms))) @ root, offsets]
         for t in fit.terms:
-            slopes = np.zeros((len(s.scene.times), channels, 0 if data.fixed(t) else len(t.values)))
+            slopes = np.zeros((len(s.trajectory.times), channels, 0 if data.fixed(t) else len(t.values)))
             if active_terms(s, [t]) and not data.fixed(t):
                 beside = tuple(x for x in active_terms(s, fit.terms) if x is not t)
-                slopes = columns(data.robot, data.channels, s.scene, data.links, beside, t.effect, t.values)
+                slopes = columns(data.robot, data.channels, s.trajectory, data.links, beside, t.effect, t.values)
             mine.append(courses(s.spectrum(slopes)))
         parts.append(np.concatenate(mine, axis=2))
     made = np.concatenate(parts)

@@ -97,7 +97,7 @@ def holds_below(s: Search) -> float:
     data = s.projector.data
     first = next((p for p in s.proposals if 0.5 * p.gain > data.settings.accept * s.dispersion), None)
     limit = inf if first is None else first.term.effect.holds_below(first.term.values, surroundings(data))
-    return limit if limit < data.segments[0].scene.bandwidth else inf
+    return limit if limit < data.segments[0].trajectory.bandwidth else inf
 
 
 def certain(s: Search) -> Search:

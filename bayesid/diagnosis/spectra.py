@@ -55,7 +55,7 @@ class Segment:
     encoders: np.ndarray
     readings: np.ndarray  # measured (N, c)
     #: Smoothed trajectory on a coarser even grid over the same time (M, n): predictions have little above the band.
-    scene: MotionSegment
+    trajectory: MotionSegment
     still: bool  # whether every sample is a pose at rest
     torque_channels: tuple[tuple[int, int], ...]  # (channel, joint) of the channels that are joint torques
     covariance: np.ndarray  # of the coefficients (K, c, c); empty until it is known
@@ -73,7 +73,7 @@ class Segment:
     @property
     def apart(self) -> bool:
         """Whether the samples are poses that do not follow each other: then their positions are not smoothed."""
-        return bool(np.isinf(self.scene.bandwidth))
+        return bool(np.isinf(self.trajectory.bandwidth))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -94,7 +94,7 @@ class Segment:
     def frequencies(self) -> np.ndarray:
         """Frequencies of the coefficients (K,) [Hz]."""
         spacing = 0.5 / (len(self.times) * self.step)
-        band = min(self.settings.band, 0.4 / self.step, 0.8 * self.scene.bandwidth)
+        band = min(self.settings.band, 0.4 / self.step, 0.8 * self.trajectory.bandwidth)
         return spacing * np.arange(max(int(band / spacing), 1))
 
     def spectrum(self, samples: np.ndarray, channels: np.ndarray | slice = slice(None)) -> np.ndarray:
@@ -105,29 +105,29 @@ class Segment:
         weight w is taken back: ``w mean(p) = mean(w p) - h^2 / 24 (2 w' p' + w'' p)``. Poses at rest and instants are points
         on both sides.
         """
-        scale = np.sqrt(len(self.times) / len(self.scene.times))
+        scale = np.sqrt(len(self.times) / len(self.trajectory.times))
         if self.still or self.instant:
-            return _transform(samples, self._scene_weight[:, channels], len(self.frequencies)) * scale
+            return _transform(samples, self._trajectory_weight[:, channels], len(self.frequencies)) * scale
         fading = self._fading
 
         def wide(x: np.ndarray) -> np.ndarray:
             return x.reshape(x.shape + (1,) * (samples.ndim - x.ndim))
 
-        weighted = samples * wide(self._scene_weight[:, channels])
+        weighted = samples * wide(self._trajectory_weight[:, channels])
         rate = samples[fading.after] - samples[fading.before]
         weighted[fading.at] -= wide(fading.rates[:, channels]) * rate + wide(fading.values[:, channels]) * samples[fading.at]
         share = np.sinc(self.frequencies * self.step) * scale
         return np.asarray(dct(weighted, axis=0, norm="ortho", overwrite_x=True))[: len(share)] * wide(share)
 
     @cached_property
-    def _scene_weight(self) -> np.ndarray:
+    def _trajectory_weight(self) -> np.ndarray:
         """Weight on the segment's grid (M, c)."""
-        return self.weight(self.scene.times)
+        return self.weight(self.trajectory.times)
 
     @cached_property
     def _fading(self) -> _Fading:
         """What averaging does to the weight where that changes."""
-        times, weight = self.scene.times, self._scene_weight
+        times, weight = self.trajectory.times, self._trajectory_weight
         slope = np.gradient(weight, times, axis=0)
         bend = np.gradient(slope, times, axis=0)
         at = np.flatnonzero(np.abs(slope).max(axis=1) + np.abs(bend).max(axis=1) > 0.0)
@@ -157,13 +157,13 @@ class Segment:
 
     def course(self, samples: np.ndarray) -> np.ndarray:
         """Coefficients (K, ...) of courses in time (M, ...) on the segment's grid that belong to no channel."""
-        edge = taper(self.scene.times, self.times, self.scene.bandwidth, self.settings)[:, None]
+        edge = taper(self.trajectory.times, self.times, self.trajectory.bandwidth, self.settings)[:, None]
         flat = _transform(samples.reshape(len(samples), -1), edge, len(self.frequencies))
         return flat.reshape(-1, *samples.shape[1:]) * np.sqrt(len(self.times) / len(samples))
 
     def weight(self, times: np.ndarray) -> np.ndarray:
         """Weight of times in every channel (k, c): the taper at both ends, what `mobile` says, and what is left out."""
-        out = taper(times, self.times, self.scene.bandwidth, self.settings)[:, None] * self.mobile(times)
+        out = taper(times, self.times, self.trajectory.bandwidth, self.settings)[:, None] * self.mobile(times)
         if self.left_out is not None:
             start, end = self.left_out
             out *= np.sin(0.5 * np.pi * np.clip(np.maximum(start - times, times - end) / _FLANK, 0.0, 1.0))[:, None] ** 2
@@ -173,16 +173,16 @@ class Segment:
         """How far a reading is determined (k, c): a joint at rest may stick, and its drive then holds anything."""
         out = np.ones((len(times), self.readings.shape[1]))
         for channel, joint in self.torque_channels:
-            out[:, channel] = np.interp(times, self.scene.times, self._moving[:, joint])
+            out[:, channel] = np.interp(times, self.trajectory.times, self._moving[:, joint])
         return out
 
     @cached_property
     def _moving(self) -> np.ndarray:
         """1 where a joint moves, 0 where it rests for longer than `Settings.moment`, with smooth flanks (M, n)."""
-        step = float(np.median(np.diff(self.scene.times)))
+        step = float(np.median(np.diff(self.trajectory.times)))
         length = max(int(self.settings.moment / step), 1)
         # Encoder counts make single velocities noisy; a mean over a rest is not, and one over a reversal is soon past zero.
-        speed = np.abs(uniform_filter1d(self.scene.velocities, length, axis=0))
+        speed = np.abs(uniform_filter1d(self.trajectory.velocities, length, axis=0))
         rest = speed < np.maximum(self.settings.rest_share * speed.max(axis=0), 2.0 * REST_SPEED)
         # A rest that lasts: opening (erosion, then dilation) along time. Then the flanks.
         rest = binary_opening(rest, np.ones((length, 1), bool))

@@ -18,36 +18,36 @@ STILL = 1e-3
 
 
 def surroundings_of(
-    robot: Robot, scenes: Sequence[MotionSegment], links: np.ndarray, channel: str, sensor_under_base: bool, *, static_run: bool,
-    links_known: bool,
+    robot: Robot, trajectories: Sequence[MotionSegment], links: np.ndarray, channel: str, sensor_under_base: bool, *,
+    static_run: bool, links_known: bool,
 ) -> Surroundings:  # fmt: skip
     """What effects may want to know of some motions; ``links`` are ten parameters a body (10 b,), for what joints feel."""
     return Surroundings(
-        robot=robot, mean_places=mean_places(robot, scenes), joint_inertia=joint_inertia(robot, scenes[0], links),
-        moving=moving(robot, scenes), links_known=links_known, both_channels=channel == "both", static_run=static_run,
+        robot=robot, mean_places=mean_places(robot, trajectories), joint_inertia=joint_inertia(robot, trajectories[0], links),
+        moving=moving(robot, trajectories), links_known=links_known, both_channels=channel == "both", static_run=static_run,
         base_sensor=channel != "torque" and sensor_under_base,
     )  # fmt: skip
 
 
-def mean_places(robot: Robot, scenes: Sequence[MotionSegment]) -> np.ndarray:
+def mean_places(robot: Robot, trajectories: Sequence[MotionSegment]) -> np.ndarray:
     """Mean position of each link's frame over motions, in the base frame (n, 3) [m]."""
     means = []
-    for scene in scenes:
-        states = link_states(robot, scene.positions, scene.velocities, scene.accelerations)
+    for trajectory in trajectories:
+        states = link_states(robot, trajectory.positions, trajectory.velocities, trajectory.accelerations)
         means.append(states[:, : robot.n, P : P + 3].mean(axis=0))
     return np.mean(means, axis=0)
 
 
-def moving(robot: Robot, scenes: Sequence[MotionSegment]) -> np.ndarray:
+def moving(robot: Robot, trajectories: Sequence[MotionSegment]) -> np.ndarray:
     """Whether each joint moves in one of some motions (n,)."""
-    moves = [np.ptp(scene.positions, axis=0) > STILL for scene in scenes if not scene.still]
+    moves = [np.ptp(trajectory.positions, axis=0) > STILL for trajectory in trajectories if not trajectory.still]
     return np.any([np.zeros(robot.n, bool), *moves], axis=0)
 
 
-def joint_inertia(robot: Robot, scene: MotionSegment, links: np.ndarray) -> np.ndarray:
+def joint_inertia(robot: Robot, trajectory: MotionSegment, links: np.ndarray) -> np.ndarray:
     """Mean inertia that each joint feels over a motion (n,) [kg m^2 or kg], by ten parameters a body (10 b,)."""
     n = robot.n
-    poses = np.repeat(scene.positions[:: max(len(scene.positions) // 20, 1)], n, axis=0)
+    poses = np.repeat(trajectory.positions[:: max(len(trajectory.positions) // 20, 1)], n, axis=0)
     rates = np.tile(np.eye(n), (len(poses) // n, 1))
     channels = torque_channels(robot)
     times = np.arange(len(poses), dtype=float)

@@ -128,7 +128,7 @@ def _picture(data: DiagnosisData, d: Description):
         channel = candidate.channels[k]
         rest = left[:, channel] - left[:, channel].mean()
         variable = next((v for v in candidate.shape.variables if not v.startswith("dir")), candidate.shape.variables[0])
-        x = np.interp(longest.times, longest.scene.times, part.variables[variable])
+        x = np.interp(longest.times, longest.trajectory.times, part.variables[variable])
         title = f"{data.channels.names[channel]} [{data.channels.units[channel]}] in {longest.motion}"
         panels.append((title, variable, x, rest + said[:, k], said[:, k]))
     return described_figure(panels)

@@ -94,9 +94,9 @@ def test_the_smallest_effect_is_five_standard_deviations_of_what_the_columns_lea
     b = bench("ur5")
     model, (segment,) = b.problem.row_model, b.problem.segments["identification"]
     effect = next(e for e in b.experiment.library.places("sensor_delay", b.experiment.robot.joint_names, model.channels.names))
-    scene = replace(model.state(segment, 0, len(segment.times)), bandwidth=model.bandwidth, middle=b.middle)
+    trajectory = replace(model.state(segment, 0, len(segment.times)), bandwidth=model.bandwidth, middle=b.middle)
     read = [
-        plant_readings(b.experiment.robot, model.channels, scene, b.links, (*b.terms, *more))
+        plant_readings(b.experiment.robot, model.channels, trajectory, b.links, (*b.terms, *more))
         for more in ((), (Term(effect, (0.004,)),))
     ]
     rows = [np.concatenate([k.rows for k in make_blocks(model, [replace(segment, readings=r)])]) for r in read]

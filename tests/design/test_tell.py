@@ -151,8 +151,8 @@ def test_what_is_the_same_is_never_told_apart(case, bench, planned):
 
 def torque_of(robot, motion, *, still=False):
     rates = (0.0 * motion.velocities,) * 2 if still else (motion.velocities, motion.accelerations)
-    scene = MotionSegment(motion.times, motion.positions, *rates)
-    return np.abs(readings(robot, torque_channels(robot), scene, robot.nominal))
+    trajectory = MotionSegment(motion.times, motion.positions, *rates)
+    return np.abs(readings(robot, torque_channels(robot), trajectory, robot.nominal))
 
 
 def test_motions_stay_within_the_limits_at_a_finer_sampling_and_rest_at_both_ends(robot, limits):
@@ -278,11 +278,11 @@ def test_predicted_evidence_against_exact_fits_of_simulated_recordings(robot):
     c = contest(case, SeenInstruments.of(case.rivals[0].fit), planned)
     first = case.rivals[0].fit
     empty = SeenInstruments.of(first).segment(planned, first)
-    times, scene = empty.times, empty.scene
+    times, trajectory = empty.times, empty.trajectory
     at_samples = MotionSegment(
-        times, *planned.at(times), still=False, bandwidth=scene.bandwidth, middle=scene.middle, clear=scene.clear
+        times, *planned.at(times), still=False, bandwidth=trajectory.bandwidth, middle=trajectory.middle, clear=trajectory.clear
     )
-    there = replace(empty, scene=at_samples, instant=True)
+    there = replace(empty, trajectory=at_samples, instant=True)
     root, size = np.linalg.cholesky(empty.covariance), first.projector.size
     rng = np.random.default_rng(3)
     gains = []

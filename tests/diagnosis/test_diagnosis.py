@@ -177,12 +177,12 @@ def test_white_noise_becomes_unit_rows():
     rng = np.random.default_rng(0)
     times = np.arange(0, 20, 0.008)
     noise = rng.normal(size=(len(times), 2)) * [0.5, 0.02]
-    scene = smoothed(times, np.sin(times)[:, None], times, 12.0, False, np.zeros(1))
-    segment = spectra.Segment("m", "identification", times, np.sin(times)[:, None], noise, scene, False, (), np.zeros(0))
+    trajectory = smoothed(times, np.sin(times)[:, None], times, 12.0, False, np.zeros(1))
+    segment = spectra.Segment("m", "identification", times, np.sin(times)[:, None], noise, trajectory, False, (), np.zeros(0))
     np.testing.assert_allclose(spectra.sensor_noise([segment]), [0.5, 0.02], rtol=0.12)
     zero = np.zeros(1)
     known = encoders.with_noise(
-        segment, lambda s: np.zeros((len(s.scene.times), 2)), lambda s, _: s, np.array([0.5, 0.02]), zero, zero, rng
+        segment, lambda s: np.zeros((len(s.trajectory.times), 2)), lambda s, _: s, np.array([0.5, 0.02]), zero, zero, rng
     )
     white = known.whiten(known.measured(noise))
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.12)
@@ -374,7 +374,7 @@ def test_readings_that_are_linear_in_the_links_are_not_predicted_anew(record, ot
         assert needs_no_load(t.effect)
         own = term_rows(data, data.segments, links, (), t)
         full = np.vstack([
-            s.white(columns(data.robot, data.channels, s.scene, links, terms, t.effect, t.values)) for s in data.segments
+            s.white(columns(data.robot, data.channels, s.trajectory, links, terms, t.effect, t.values)) for s in data.segments
         ])  # fmt: skip
         np.testing.assert_allclose(own, full, rtol=0.0, atol=1e-9 * np.abs(full).max())
 

@@ -218,12 +218,12 @@ def test_joints_that_move_in_some_motion():
     """Two places in two recordings are no motion, nor is a crawl."""
     robot = cast(Robot, SimpleNamespace(n=3))
 
-    def scene(q):
+    def trajectory(q):
         return cast(MotionSegment, SimpleNamespace(positions=q, still=False))
 
     t = np.linspace(0.0, 1.0, 50)
     first, second = np.column_stack([t, 0.0 * t, 1e-4 * t]), np.column_stack([0.0 * t, 0.0 * t + 1.0, 0.0 * t])
-    assert moving(robot, [scene(first), scene(second)]).tolist() == [True, False, False]
+    assert moving(robot, [trajectory(first), trajectory(second)]).tolist() == [True, False, False]
     assert moving(robot, []).tolist() == [False] * 3
 
 

@@ -35,9 +35,9 @@ def segment(seed, duration=20.0, rate=250.0, colour="white", still=False, joints
     elif colour == "louder all at once":
         noise *= np.where((t > duration / 3) & (t < duration / 2), 30.0, 1.0)[:, None]
     readings = noise + 100.0 * q @ rng.normal(size=(joints, CHANNELS))
-    scene = smoothed(t, q, t[::3], 12.0, still, np.zeros(joints))
+    trajectory = smoothed(t, q, t[::3], 12.0, still, np.zeros(joints))
     covariance = np.zeros((0, CHANNELS, CHANNELS))
-    return Segment("motion", "identification", t, q, readings, scene, still, (), covariance)
+    return Segment("motion", "identification", t, q, readings, trajectory, still, (), covariance)
 
 
 def hit(s, at, size, length=0.02, channel=0):

@@ -177,9 +177,9 @@ def test_encoder_errors_that_do_not_repeat_are_not_taken_for_the_sensors(robot):
     assert np.mean(np.log(raw[-1])) > 0.4
     assert abs(np.mean(np.log(ratio[:3]))) < 0.2
     # Another recording of both: the floor is what remains, neither less nor twice as much.
-    scene = smoothed(s.times, read(6), s.scene.times, s.scene.bandwidth, False, s.scene.middle_positions)
+    trajectory = smoothed(s.times, read(6), s.trajectory.times, s.trajectory.bandwidth, False, s.trajectory.middle_positions)
     exact = s.measured(recorded(robot, motion, FILTERED, 17).wrench)
-    z = s.whiten(exact - s.spectrum(found.predict(replace(s, scene=scene), found.links, ())))
+    z = s.whiten(exact - s.spectrum(found.predict(replace(s, trajectory=trajectory), found.links, ())))
     # Above 6 Hz the encoders are some hundred times louder than the sensor, which is then guessed too loud, never too quiet.
     for low, high, least in [(0.2, 1.0, 0.75), (1.0, 3.0, 0.75), (3.0, 6.0, 0.75), (6.0, 10.0, 0.5)]:
         inside = (s.frequencies >= low) & (s.frequencies < high)

@@ -27,11 +27,11 @@ def library(request, tmp_path_factory):
     data = prepare_data(given, "wrench", (), None, 0)
     effects = [e for name in ("joint_flexibility", "base_compliance") for e in data.places(name)]
     if request.param == "flexible":
-        (scene,) = [s.scene for s in data.segments]
+        (trajectory,) = [s.trajectory for s in data.segments]
         soft = Term(next(e for e in effects if e.where == "joint2"), (COMPLIANCE,))
         links = robot.nominal.ravel()
-        change = [exact.readings(robot, data.channels, scene, links, terms) for terms in ((soft,), ())]
-        more = np.column_stack([np.interp(table.times, scene.times, x) for x in (change[0] - change[1]).T])
+        change = [exact.readings(robot, data.channels, trajectory, links, terms) for terms in ((soft,), ())]
+        more = np.column_stack([np.interp(table.times, trajectory.times, x) for x in (change[0] - change[1]).T])
         given = replace(given, motions=(replace(given.motions[0], table=replace(table, wrench=table.wrench + more)),))
         data = prepare_data(given, "wrench", (), None, 0)
     projector = make_projector(data, ())

@@ -70,14 +70,14 @@ class SeenInstruments:
 
     def segment(self, motion: Planned, fitted: Fit) -> Segment:
         """A motion as it would be recorded, without readings; with the noise that a model makes of it."""
-        data, like, old = self.data, self.like, self.like.scene
+        data, like, old = self.data, self.like, self.like.trajectory
         times = np.arange(int(round(motion.duration / like.step)) + 1) * like.step
         per_second = (len(old.times) - 1) / (old.times[-1] - old.times[0])
         grid = times if like.instant else even_grid(times, per_second)
-        scene = MotionSegment(grid, *motion.at(grid), False, old.bandwidth, old.middle_positions, old.clear, old.cell)
+        trajectory = MotionSegment(grid, *motion.at(grid), False, old.bandwidth, old.middle_positions, old.clear, old.cell)
         empty = np.zeros((len(times), len(data.channels)))
         bare = Segment(
-            NAME, "identification", times, motion.at(times)[0], empty, scene, False, like.torque_channels, np.zeros(0),
+            NAME, "identification", times, motion.at(times)[0], empty, trajectory, False, like.torque_channels, np.zeros(0),
             like.instant, like.settings,
         )  # fmt: skip
         nearest = np.abs(bare.frequencies[:, None] - like.frequencies).argmin(axis=1)

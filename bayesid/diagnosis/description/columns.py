@@ -41,7 +41,7 @@ class SegmentPart:
     def values(self, shapes: Sequence[Shape]) -> np.ndarray:
         """The shapes' products on the grid (M, g); of such as have no finite value zero."""
         factors: dict[str, np.ndarray] = {}  # a few hundred, in thousands of products
-        out = np.empty((len(self.segment.scene.times), sum(len(s.products) for s in shapes)))
+        out = np.empty((len(self.segment.trajectory.times), sum(len(s.products) for s in shapes)))
         for k, product in enumerate(p for s in shapes for p in s.products):
             out[:, k] = 1.0
             for factor in product:
@@ -223,7 +223,7 @@ def ranges_of(parts: Sequence[SegmentPart]):
 
 def parts_of(data: DiagnosisData, segments: Sequence[Segment], fit: Fit) -> tuple[SegmentPart, ...]:
     """Whole segments with their variables, true readings as a model has them."""
-    models = (Model.of(data.robot, data.channels, s.scene, fit.links, active_terms(s, fit.terms)) for s in segments)
+    models = (Model.of(data.robot, data.channels, s.trajectory, fit.links, active_terms(s, fit.terms)) for s in segments)
     return tuple(SegmentPart(s, variables(m.readout), np.arange(s.shape[0])) for s, m in zip(segments, models, strict=True))
 
 
