@@ -82,19 +82,21 @@ def fit_and_predict(problem: Problem) -> tuple[Prediction, ...]:
     return tuple(in_order(partial(predict, problem, estimate, floor=floor), motions))
 
 
-def motion_errors(before: Experiment, after: Experiment | None, options: FitOptions) -> tuple[MotionErrors, ...]:
-    """What two models leave of every motion, those that were not fitted first; none where the first cannot be fitted.
+def motion_errors(before: Experiment, after: Experiment | None, options: FitOptions) -> tuple[tuple[MotionErrors, ...], str]:
+    """What two models leave of every motion, those that were not fitted first, and what to say where one cannot be fitted.
 
     Both are of the same recordings; ``after`` may be None. ``options`` say which readings and motions; the effects are those of
-    the experiments.
+    the experiments. There are no errors where the first cannot be fitted.
     """
     try:
         one = fit_and_predict(prepare(before, options))
-    except InputError:  # a diagnosis may compare what leaves no rows to fit
-        return ()
+    except InputError as error:  # a diagnosis may compare what leaves no rows to fit
+        return (), f"What the model leaves of the motions is not given, for `identify` cannot fit it: {error}."
+    other, refused = {}, ""
     try:
-        other = {} if after is None else {p.motion: p for p in fit_and_predict(prepare(after, options))}
-    except (InputError, np.linalg.LinAlgError):
-        other = {}
+        if after is not None:
+            other = {p.motion: p for p in fit_and_predict(prepare(after, options))}
+    except (InputError, np.linalg.LinAlgError) as error:
+        refused = f"What the model with the effects named leaves is not given, for `identify` cannot fit it: {error}."
     found = [MotionErrors(p.motion, p.fitted, p, other.get(p.motion)) for p in one]
-    return tuple(sorted(found, key=lambda e: e.fitted))
+    return tuple(sorted(found, key=lambda e: e.fitted)), refused

@@ -239,7 +239,8 @@ def _with_errors(result: Diagnosis, push: Push | None, motions: Sequence[str] | 
     if push is not None:
         experiment = less_push(experiment, push)
     after = replace(experiment, effects=effects, effect_values=values) if result.found else None
-    return replace(result, errors=motion_errors(experiment, after, FitOptions(result.data.channel, motions=motions)))
+    errors, refused = motion_errors(experiment, after, FitOptions(result.data.channel, motions=motions))
+    return replace(result, errors=errors, remarks=(*result.remarks, *([refused] if refused else [])))
 
 
 def _with_push(rest: Diagnosis, push: Push, data: DiagnosisData) -> Diagnosis:

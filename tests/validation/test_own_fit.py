@@ -46,7 +46,7 @@ def agree(one, channel: str | None = None) -> None:
     told = {
         "check": bayesid.check(one, progress=None).left if problem.channel == bayesid.check(one, progress=None).channel else (),
         "compare": (*compared.fitted, *compared.validation),
-        "diagnose": [e.before for e in motion_errors(one, None, FitOptions(problem.channel))],
+        "diagnose": [e.before for e in motion_errors(one, None, FitOptions(problem.channel))[0]],
     }
     for verb, predictions in told.items():
         assert {p.motion for p in predictions} in (set(expected), set()), verb
@@ -92,3 +92,14 @@ def test_what_nothing_tells_has_no_number(robot):
     assert checked.left and all(np.isnan(p.times_noise) for p in checked.left)
     assert "noise not known" in left_text(checked.left[0]) and checked.to_dict()["left"][0]["times_noise"] is None
     assert "noise not known" in str(checked)
+
+
+def test_a_model_that_cannot_be_fitted_is_said_to_be_one(robot):
+    """Errors are left out with their reason, not silently."""
+    one = simulated(robot, 1)
+    impossible, options = replace(one, effects=("no_such_effect",)), FitOptions("torque")
+    errors, why = motion_errors(one, impossible, options)
+    assert errors and all(e.after is None for e in errors) and "with the effects named" in why and "no_such_effect" in why
+    none, why = motion_errors(impossible, None, options)
+    assert none == () and "cannot fit it" in why
+    assert motion_errors(one, None, options)[1] == ""
