@@ -58,14 +58,13 @@ def search(projector: NuisanceProjector, terms: Sequence[Term], seed: int, progr
         else:
             state = forward_selection(again, progress)
     pruned = prune(state)
-    few, _ = essential(pruned)
+    few, dropped = essential(pruned)
     # The exact noise of a model whose effects will not be named anyway is not worth the time.
     if len(pruned.state.best.terms) > pruned.state.known and not stands_in(few.state):
         progress("noise as the new model passes it on")
-        pruned = prune(refit(pruned.state, progress))
-    pruned, dropped = essential(pruned)
+        few, dropped = essential(prune(refit(pruned.state, progress)))
     progress("rivals")
-    state, found = with_rivals(pruned)
+    state, found = with_rivals(few)
     _, library = state.models.library(state.best)
     return Search(library.projector, library.base, state.best, found, state.dispersion, tuple(first), library, dropped)
 
