@@ -170,7 +170,7 @@ def _stays(d: Diagnosis) -> list[ShownSection]:
     *courses, floor = d.part.courses
     closed = zip(d.part.search.found, courses[1:], strict=True)
     steps = [("the model as it was", courses[0]), *((f.term.effect.spec, c) for f, c in closed)]
-    still = "Where the model with these effects and the readings disagree most, as in the table above."
+    still = "Where the model with these effects and the readings disagree most; the columns are explained below the next table."
     return [ShownSection(f"What stays: {percent(d.part.remainder)}", [
         f"{part_sentence(d)} What a real robot does beyond any model follows the motion, so readings that follow each other "
         "do not count as independent, and an effect is named only if recordings that took no part are predicted better with "

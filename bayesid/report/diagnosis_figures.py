@@ -95,7 +95,9 @@ def residual_maps(
         names = [*bands, *([""] * changed), *(bands if changed else ())]
         ax.set_xticks(np.arange(len(names)), names if line[0] is axes[-1, 0] else [""] * len(names), rotation=90, fontsize=7.5)
         ax.tick_params(axis="x", length=0)
-        ax.set_title("before     after" if changed else "by frequency")
+        titles = {"left": "before", "right": "after"} if changed else {"center": "by frequency"}
+        for side, text in titles.items():
+            ax.set_title(text, loc=side)
         for ax in line:
             ax.set_yticks(middle, list(channels) if ax is line[0] else [])
             ax.set_ylim(count - 0.5, -0.5)

@@ -315,8 +315,8 @@ def _identified(result: Identification) -> ShownSection:
         figure(svg(intervals_figure(regression, estimate), "intervals"),
                "Each base parameter's change against the nominal model (dot) with its central 95 % interval (bar), in units of "
                "its natural size: what the parameter would change by if every body that is in it were as uncertain as it is "
-               "large. Right: half the interval, in per cent of that size; right of the dashed line it is weak. Triangles lie "
-               "outside the picture. Numbers as in the table."),
+               "large. Right: half the interval, in per cent of that size; from 196 % on, a dashed line, it is weak. Triangles "
+               "lie outside the picture. Numbers as in the table."),
         ShownTable(head, rows, "nd w nb n ku n n t"),
         Html(f'<p class="note">{tag("alone")} one parameter of one link; {tag("combination")} a sum that only as a whole can be '
              f"seen; {tag('weak')} known no better than the size of the body; {tag('prior')} the data say nothing, the nominal "
