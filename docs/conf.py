@@ -52,10 +52,14 @@ html_theme_options = {"show_toc_level": 2, "navigation_with_keys": False, "secon
 def _mathml(node, block: bool) -> str:
     """A formula as browsers draw it themselves: no script, no network."""
     formula, _, number = node.astext().partition(r"\tag{")
+    formula = re.sub(r"(\\[td]?frac) ?(\d)(\d)", r"\1{\2}{\3}", formula)  # TeX takes digits one by one, docutils the number
     try:
         drawn = tex2mathml(formula, as_block=block)
     except MathError as error:
         raise ExtensionError(f"formula {formula!r}: {error}") from None
+    # Not every font has an overline that stretches; a border does.
+    over = r'<mover accent="false">(.*?)<mo accent="true">_</mo>\s*</mover>'
+    drawn = re.sub(over, r'<mrow class="overline">\1</mrow>', drawn, flags=re.DOTALL)
     drawn = drawn.replace(' accent="true"', "")  # with it, browsers draw the dots of derivatives into the letter
     if not number:
         return drawn
