@@ -220,7 +220,7 @@ def _draw_robot(robots: dict[str, Any], path: Path) -> None:
                 values = [pair[side] for pair in cases[model]["gap"]["channels"].values()]
                 ax.bar(channels + 0.2 * (k - 1.5), values, 0.18, color=colour, label=label)
             ax.axhline(1.0, color=GREY, lw=1, ls="--", label="noise, or what stands in for it")
-            ax.set(yscale="log", xlabel="joint", title=ROBOTS[name], xticks=channels, ylim=(0.3, 200.0))
+            ax.set(yscale="log", xlabel="joint", title=ROBOTS[name], xticks=channels, ylim=(0.1, 200.0))
         ax = figure.axes[0]
         ax.set_ylabel("residual on unseen motion / noise")
         figure.legend(*ax.get_legend_handles_labels(), fontsize=8, ncols=5, loc="outside upper center", frameon=False)
