@@ -48,7 +48,7 @@ from bayesid.tasks import cluster, map_tasks
 from bayesid.validation.noise_floor import noise_floor
 from tests import robots
 from tests.simulated import fourier
-from tests.studies.coverage import band
+from tests.studies.interval_coverage import band
 from tests.studies.page import STUDIES, table, write_numbers, write_page
 
 SEED = 20_261_213

@@ -28,8 +28,8 @@ from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.tasks import cluster, map_tasks
-from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import ARMS, DURATION, NOISE, OFFSET, RATE, links_unlike, setup
+from tests.studies.interval_coverage import LEVEL, NAMES, band
 from tests.studies.page import parsed, write_numbers, write_page
 
 SEED = 20_261_122

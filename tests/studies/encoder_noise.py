@@ -23,8 +23,8 @@ from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.readings import make_channels
 from bayesid.tasks import cluster, map_tasks
-from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import DURATION, FUNDAMENTAL, NOISE, OFFSET, RATE, Setup, setup
+from tests.studies.interval_coverage import LEVEL, NAMES, band
 from tests.studies.page import STUDIES, parsed, write_numbers, write_page
 
 SEED = 20_260_201

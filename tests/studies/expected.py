@@ -28,8 +28,8 @@ from bayesid.robot.robot import load_robot
 from bayesid.simulation.trajectories import Trajectory
 from bayesid.tasks import cluster, map_tasks
 from tests.design.plant import readings, recorded
-from tests.studies.coverage import NAMES
 from tests.studies.coverage_case import ARMS, setup
+from tests.studies.interval_coverage import NAMES
 from tests.studies.page import STUDIES, parsed, table, write_numbers, write_page
 
 SEED, COUNT = 13, 1500

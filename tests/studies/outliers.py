@@ -20,8 +20,8 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.tasks import cluster, map_tasks
-from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import ARMS, DURATION, PAPER, record, setup
+from tests.studies.interval_coverage import LEVEL, NAMES, band
 from tests.studies.page import STUDIES, parsed, write_numbers, write_page
 
 #: Seed of the recordings that judge; development used others.

@@ -14,7 +14,7 @@ from bayesid.regression.problem import prepare
 from bayesid.signals.filters import low_pass
 from bayesid.signals.noise import estimate_noise
 from bayesid.signals.projection import project
-from tests.studies import coverage
+from tests.studies import interval_coverage as coverage
 from tests.studies.coverage_case import ARMS, FITS, PAPER, RATE, WHITE, bound, fit_all, record, setup
 
 SEED = 31

@@ -1,6 +1,6 @@
 """How often 95 % intervals hold the truth, and how close estimates come to the Cramér-Rao bound.
 
-``python -m tests.studies.coverage`` from the repository runs it and writes ``docs/studies/coverage``.
+``python -m tests.studies.interval_coverage`` from the repository runs it and writes ``docs/studies/coverage``.
 A run that was stopped goes on where it was. `coverage_case` says what is simulated.
 """
 
@@ -161,7 +161,7 @@ PAGE = """\
 # Coverage
 
 A 95 % interval should hold the truth in 95 of 100 recordings. Here the truth is known: {{ count }} simulated recordings of
-each robot, all from seed {{ seed }}. `python -m tests.studies.coverage` made this page, its figure and
+each robot, all from seed {{ seed }}. `python -m tests.studies.interval_coverage` made this page, its figure and
 [results.json](results.json); `make test-slow` repeats the study and holds it against them.
 
 ![Coverage of each base parameter](coverage.svg)
