@@ -71,12 +71,12 @@ def forward_selection(state: State, progress: Callable[[str], None], first: Sequ
         if surrogate:
             break
         state = measured_dispersion(_exchanged(state))
-        if stands_in(state):  # nothing would be named, however many more came in
+        if too_many_to_name(state):  # nothing would be named, however many more came in
             break
     return state
 
 
-def stands_in(state: State) -> bool:
+def too_many_to_name(state: State) -> bool:
     """Whether the best model's effects are too many to be named: they stand in for what the library lacks."""
     return is_surrogate_combination(state.best.projector.data, state.best.terms[state.known :])
 

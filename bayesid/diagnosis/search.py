@@ -14,7 +14,7 @@ import numpy as np
 
 from bayesid.diagnosis.candidates import Library, Proposal, surroundings
 from bayesid.diagnosis.fit import Fit, differs_from_zero, distance, fit
-from bayesid.diagnosis.forward import State, forward_selection, measured_dispersion, stands_in
+from bayesid.diagnosis.forward import State, forward_selection, measured_dispersion, too_many_to_name
 from bayesid.diagnosis.noise import with_noise_of
 from bayesid.diagnosis.noise_models import NoiseModels, as_points, prepared
 from bayesid.diagnosis.projector import NuisanceProjector, make_projector
@@ -53,14 +53,14 @@ def search(projector: NuisanceProjector, terms: Sequence[Term], seed: int, progr
     if (points := as_points(state.best, seed)) is not None:
         progress("readings as values at their times")
         again = _start(make_projector(points, terms), terms, seed)
-        if stands_in(state):
+        if too_many_to_name(state):
             state = measured_dispersion(replace(again, best=fit(again.base.projector, state.best.terms, state.best)))
         else:
             state = forward_selection(again, progress)
     pruned = prune(state)
     few, dropped = essential(pruned)
     # The exact noise of a model whose effects will not be named anyway is not worth the time.
-    if len(pruned.state.best.terms) > pruned.state.known and not stands_in(few.state):
+    if len(pruned.state.best.terms) > pruned.state.known and not too_many_to_name(few.state):
         progress("noise as the new model passes it on")
         few, dropped = essential(prune(refit(pruned.state, progress)))
     progress("rivals")
