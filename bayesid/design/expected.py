@@ -18,10 +18,9 @@ from bayesid.diagnosis.projector import orthonormal
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.factor import gram_rows, reduce_rows, reduce_whitened
 from bayesid.recordings.experiment import Experiment, Motion
-from bayesid.recordings.table import usual_step
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import condition_number, determined_inverse, undetermined
-from bayesid.regression.problem import row_step, smoother_of
+from bayesid.regression.problem import fastest_rate, row_step, smoother_of
 from bayesid.regression.readings import make_channels
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
@@ -105,15 +104,10 @@ def expect(
     effect does not exist.
     """
     model, segments = rows_of(experiment, sensor_set, motions, effects=effects, bandwidth=bandwidth)
-    names = tuple(n for e in model.effects for n in e.column_names)
-    units = tuple(u for e in model.effects for u in e.units)
-    free = np.flatnonzero(model.free).tolist()
-    factor = weighted = np.zeros((model.base.rank + len(free),) * 2)
+    factor = weighted = np.zeros((model.base.rank + model.extra_columns,) * 2)
     if segments:
         factor, weighted = expected_factors(lambda: make_blocks(model, segments), noise.of(sensor_set))
-    return Expected(
-        model.base, tuple(names[k] for k in free), tuple(units[k] for k in free), factor, weighted, model, tuple(segments)
-    )  # fmt: skip
+    return Expected(model.base, model.effect_names, model.effect_units, factor, weighted, model, tuple(segments))
 
 
 def rows_of(
@@ -135,7 +129,7 @@ def rows_of(
     # Poses less their readings at rest leave nothing: such a set of segments still has the structure of a motion.
     structure = model_structure(experiment, channels, specs, segments or [_nothing(experiment.robot.n)], "effects")
     chosen = smoother_of(experiment, moving, bandwidth).bandwidth
-    step = row_step(chosen, min((1.0 / usual_step(s.times) for s in moving), default=np.inf))
+    step = row_step(chosen, fastest_rate(moving))
     model = RowModel(experiment.robot, channels, structure.base, structure.effects, chosen, step, None, structure.point)
     # Segments that are too short for the smoothed trajectory to settle say nothing.
     return model, [s for s in segments if s.poses or np.ptp(s.inner(model.margin)) >= 2]

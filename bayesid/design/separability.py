@@ -99,9 +99,7 @@ def _factor(
         values[effect.spec] = {name: float(x) * (_HARDLY if a else 1.0) for name, x, a in usual}
     asked = replace(experiment, effects=(*experiment.effects, *(e.spec for e in effects)), effect_values=values)
     model, segments = rows_of(asked, sensor_set, plan.motions, bandwidth=bandwidth)
-    free = np.flatnonzero(model.free).tolist()
-    every = [n for e in model.effects for n in e.column_names]
-    names = (*model.base.names, *(every[k] for k in free))
+    names = (*model.base.names, *model.effect_names)
     if not segments:
         return np.zeros((1, len(names))), names
     rows = reduce_whitened(make_blocks(model, segments), noise.of(sensor_set)).matrix

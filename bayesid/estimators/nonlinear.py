@@ -98,12 +98,17 @@ _CONTROL = StepControl(
 )
 
 
-def solve(problem: Problem, method: str | Estimator = DEFAULT_METHOD) -> tuple[Problem, Estimate]:
+def solve(
+    problem: Problem, method: str | Estimator = DEFAULT_METHOD, rows_made: Callable[[], None] | None = None
+) -> tuple[Problem, Estimate]:
     """Estimate, with the model linearised where the estimate is.
 
-    The problem is that linearised one, the same where nothing has to be. An `InputError` where readings are not finite at the
-    start of the effects.
+    The problem is that linearised one, the same where nothing has to be. ``rows_made`` is called once the first rows are there.
+    An `InputError` where readings are not finite at the start of the effects.
     """
+    if rows_made is not None:
+        problem.regression.pilot()  # of rows that fit in memory, all are made for it
+        rows_made()
     if problem.row_model.point is None:
         return problem, fit(problem.regression, method)
     found = _found(problem, method)

@@ -8,9 +8,9 @@ same motion whose errors are independent of this one's.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,6 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
-from bayesid.regression.parallel import Once
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import LongSegment, Segment
@@ -81,40 +80,53 @@ def errors_of(
     ones: the noise of each is independent of the other's as long as it is independent from sample to sample, and each serves as
     the instrument of the other. The smoother's error of positions is the most that is taken for encoder noise.
     """
-    e = _Encoders.of(row_model, segments, smoother)
+    e = _Encoders(row_model, segments, smoother)
     law = RegressorNoise(e.perturbed, e.simulated, e.pieces, e.misread, e.present, e.described, rung=row_model.rings)
     return law, Instruments(e.pairs, e.instruments_described, e.drawn_pairs)
 
 
 @dataclass(frozen=True, eq=False)
 class _Encoders:
-    """Encoder noise of segments and what it makes of their rows."""
+    """Encoder noise of segments and what it makes of their rows; nothing is measured or smoothed before it is needed."""
 
     #: As `errors_of` takes them.
     row_model: RowModel
     segments: Sequence[Segment | LongSegment]
     smoother: Smoother
-    kinds: tuple[str, ...]  # what serves as the instrument of each segment
-    noise: Once[EncoderNoise]  # the size of the noise
-    #: The segments, and evenly spread pieces of long ones, as they might truly have been.
-    quiet: Once[list[Segment]]
-    quiet_pieces: Once[list[Segment]]
 
-    @classmethod
-    def of(cls, row_model: RowModel, segments: Sequence[Segment | LongSegment], smoother: Smoother) -> _Encoders:
-        """Nothing is measured or smoothed before it is needed."""
-        smooth_all = partial(_as_smooth, min(smoother.automatic or row_model.bandwidth, row_model.bandwidth))
-        return cls(
-            row_model, segments, smoother, tuple(_kind(row_model, r) for r in segments),
-            Once(partial(measure, segments, row_model.bandwidth, smoother.position_std, smoother.stated_error)),
-            Once(partial(_smooth_whole, smooth_all, segments)),
-            Once(partial(_smooth_pieces, smooth_all, row_model, segments)),
-        )  # fmt: skip
+    def __reduce__(self):
+        """A copy measures and smooths anew."""
+        return _Encoders, (self.row_model, self.segments, self.smoother)
+
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """What serves as the instrument of each segment."""
+        return tuple(_kind(self.row_model, r) for r in self.segments)
+
+    @cached_property
+    def noise(self) -> EncoderNoise:
+        """The size of the noise."""
+        return measure(self.segments, self.row_model.bandwidth, self.smoother.position_std, self.smoother.stated_error)
+
+    @cached_property
+    def quiet(self) -> list[Segment]:
+        """The segments as they might truly have been."""
+        return self._as_smooth(_whole(self.segments))
+
+    @cached_property
+    def quiet_pieces(self) -> list[Segment]:
+        """The same of evenly spread pieces of long ones."""
+        return self._as_smooth(_pieces(self.row_model, self.segments))
+
+    def _as_smooth(self, segments: Sequence[Segment]) -> list[Segment]:
+        """Segments as smooth as the data allow."""
+        bandwidth = min(self.smoother.automatic or self.row_model.bandwidth, self.row_model.bandwidth)
+        return [r if r.poses else replace(r, positions=smooth(r.times, r.positions, bandwidth)[0]) for r in segments]
 
     def again(self, taken: Sequence[Segment], true: Sequence[Segment], draw: int, sign: float = 1.0) -> list[Segment]:
         """Recordings with fresh noise on top of the positions, as the encoders make it of the true ones."""
         rng = np.random.default_rng(np.random.SeedSequence(entropy=_ENTROPY, spawn_key=(draw,)))
-        std, resolution = self.noise().std, self.smoother.resolution
+        std, resolution = self.noise.std, self.smoother.resolution
         return [
             replace(r, positions=r.positions + sign * _errors(s.positions, std, resolution, rng))
             for r, s in zip(taken, true, strict=True)
@@ -122,25 +134,24 @@ class _Encoders:
 
     def present(self) -> bool:
         """Whether there is any noise."""
-        return bool((self.noise().std > 0).any())
+        return bool((self.noise.std > 0).any())
 
     def perturbed(self, draw: int, sign: float) -> Iterator[Block]:
         """Rows of the recordings with the noise of a draw, times the sign, added."""
-        return make_blocks(self.row_model, self.again(_whole(self.segments), self.quiet(), draw, sign))
+        return make_blocks(self.row_model, self.again(_whole(self.segments), self.quiet, draw, sign))
 
     def simulated(self, draw: int | None) -> Iterator[Block]:
         """Rows of the smooth motion, without noise (None) or with that of a draw."""
-        quiet = self.quiet()
-        return make_blocks(self.row_model, quiet if draw is None else self.again(quiet, quiet, draw))
+        return make_blocks(self.row_model, self.quiet if draw is None else self.again(self.quiet, self.quiet, draw))
 
     def pieces(self, draw: int | None) -> Iterator[Block]:
         """Rows of pieces of the smooth motion, without noise (None) or with that of a draw."""
-        parts = self.quiet_pieces()
+        parts = self.quiet_pieces
         return make_blocks(self.row_model, parts if draw is None else self.again(parts, parts, draw))
 
     def misread(self, draws: int, solution: np.ndarray) -> list[list[np.ndarray]]:
         """What the noise of each draw adds to the modelled readings in the rows of `pieces`."""
-        parts = self.quiet_pieces()
+        parts = self.quiet_pieces
         drawn = [self.again(parts, parts, k) for k in range(draws)]
         rows: list[np.ndarray] = []
         for versions in zip(parts, *drawn, strict=True):
@@ -161,11 +172,11 @@ class _Encoders:
 
     def drawn_pairs(self, draw: int) -> Iterator[Pair]:
         """`pairs` of the smooth motion with the noise of a draw."""
-        return self.pairs(self.again(self.quiet(), self.quiet(), draw))
+        return self.pairs(self.again(self.quiet, self.quiet, draw))
 
     def described(self) -> dict[str, Any]:
         """How large the noise is, and a doubt where it is not white."""
-        sizes = {"encoder_std": self.noise().std.tolist(), "encoder_correlation": self.noise().correlation.tolist()}
+        sizes = {"encoder_std": self.noise.std.tolist(), "encoder_correlation": self.noise.correlation.tolist()}
         # Errors of known counts are simulated with the correlation that they have.
         return sizes | ({} if self.smoother.resolution else self._doubt())
 
@@ -175,13 +186,8 @@ class _Encoders:
         return {"instruments": sources, **(self._doubt() if "halves" in self.kinds else {})}
 
     def _doubt(self) -> dict[str, Any]:
-        worst = float(np.max(self.noise().correlation, initial=0.0))
+        worst = float(np.max(self.noise.correlation, initial=0.0))
         return {"warnings": [_not_white(worst)]} if worst > LARGEST_CORRELATION else {}
-
-
-def _as_smooth(bandwidth: float, segments: Sequence[Segment]) -> list[Segment]:
-    """Segments as they might truly have been: as smooth as the data allow."""
-    return [r if r.poses else replace(r, positions=smooth(r.times, r.positions, bandwidth)[0]) for r in segments]
 
 
 def _whole(segments: Sequence[Segment | LongSegment]) -> list[Segment]:
@@ -194,18 +200,6 @@ def _whole(segments: Sequence[Segment | LongSegment]) -> list[Segment]:
                 "gls or a robust one, or cut out what fits in memory"
             )
     return out
-
-
-def _smooth_whole(
-    smooth_all: Callable[[Sequence[Segment]], list[Segment]], segments: Sequence[Segment | LongSegment]
-) -> list[Segment]:
-    return smooth_all(_whole(segments))
-
-
-def _smooth_pieces(
-    smooth_all: Callable[[Sequence[Segment]], list[Segment]], row_model: RowModel, segments: Sequence[Segment | LongSegment]
-) -> list[Segment]:
-    return smooth_all(_pieces(row_model, segments))
 
 
 def _errors(positions: np.ndarray, std: np.ndarray, resolution: float, rng: np.random.Generator) -> np.ndarray:

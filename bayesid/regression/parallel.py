@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
 from itertools import chain, islice
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController
 
@@ -109,23 +109,6 @@ def in_order(work: Callable, jobs: Iterable) -> Iterator:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
-
-
-class Once(Generic[_A]):
-    """Gives what ``make`` gives, made at the first call; other threads wait for it. A copy makes it anew."""
-
-    def __init__(self, make: Callable[[], _A]):
-        self._make, self._lock, self._made = make, threading.Lock(), []
-
-    def __call__(self) -> _A:
-        """What ``make`` gives, made at the first call only."""
-        with self._lock:
-            if not self._made:
-                self._made.append(self._make())
-        return self._made[0]
-
-    def __reduce__(self):
-        return Once, (self._make,)
 
 
 def both(one: Callable[[], _A], other: Callable[[], _B]) -> tuple[_A, _B]:

@@ -16,7 +16,6 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.bandwidth import LOWEST, BandwidthChoice, choose_bandwidth
 from bayesid.regression.blocks import Block
 from bayesid.regression.encoder_noise import errors_of
-from bayesid.regression.motion_rows import MotionRows, row_count, row_parts
 from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import in_order
 from bayesid.regression.readings import (
@@ -28,7 +27,15 @@ from bayesid.regression.readings import (
     require_readings,
 )
 from bayesid.regression.regression import PriorKnowledge, Regression
-from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache
+from bayesid.regression.row_cache import (
+    PILOT_ROWS,
+    PILOT_SEGMENTS,
+    MotionRows,
+    RowCache,
+    row_count,
+    row_parts,
+    row_width,
+)
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import LongSegment, Segment
@@ -60,7 +67,6 @@ class Problem:
 
     experiment: Experiment  # where it comes from
     channel: str  # ``wrench``, ``torque`` or ``both``
-    row_model: RowModel  # how samples become rows
     smoother: Smoother  # the bandwidth of the joint motion and why
     bandwidths: BandwidthChoice | None  # the bandwidths that were tried; None where there was nothing to choose
     regression: Regression  # rows of the motions that are fitted
@@ -71,6 +77,11 @@ class Problem:
     static: str  # ``motion`` where a static run has been subtracted, ``joint`` where static readings are fitted along, ``none``
     #: The model's effects as they were named, ``name`` or ``name@where``; those nobody needs to name first.
     effects: tuple[str, ...] = ()
+
+    @property
+    def row_model(self) -> RowModel:
+        """How samples become rows."""
+        return self.rows.row_model
 
 
 def prepare(experiment: Experiment, options: FitOptions | None = None) -> Problem:
@@ -106,8 +117,8 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
             f"{', '.join(m.table.source for m in chosen)}: these readings show no parameter of the robot; at rest its static "
             'readings take all away: remove [[motion]] static, or write kind = "trajectory"'
         )
-    smoother = smoother_of(experiment, _moving(sources), options.bandwidth)
-    fastest = _fastest(sources)
+    smoother = smoother_of(experiment, moving := _moving(sources), options.bandwidth)
+    fastest = fastest_rate(moving)
     row_model = RowModel(
         experiment.robot, channels, base, structure.effects, smoother.bandwidth, row_step(smoother.bandwidth, fastest),
         options.low_pass, structure.point,
@@ -117,21 +128,19 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
         if options.bandwidth is None:
             smoother = _ringing(smoother, fastest)
         clear = _CLEAR_SHARE * min(smoother.automatic, smoother.bandwidth)
-        row_model = replace(_at_bandwidth(row_model, sources, smoother.bandwidth), clear=clear)
+        row_model = replace(_at_bandwidth(row_model, smoother.bandwidth, fastest), clear=clear)
     elif options.bandwidth is None and any(not r.poses for r in fitted):
-        choice = _judged(row_model, sources, fitted, smoother)
-        smoother = _chosen(smoother, choice)
-        row_model = _at_bandwidth(row_model, sources, smoother.bandwidth)
+        choice, smoother, row_model = _judged(row_model, fitted, smoother, fastest)
     for motion in readable:
         _require_length(motion, sources[motion.name], row_model)
-    rows, names = MotionRows(row_model, sources), tuple(m.name for m in chosen)
+    names = tuple(m.name for m in chosen)
+    rows = MotionRows(row_model, sources, names)
     return Problem(
         experiment=experiment,
         channel=channel,
-        row_model=row_model,
         smoother=smoother,
         bandwidths=choice,
-        regression=_regression(rows, smoother, names, tuple(m.name for m in readable), experiment.inertia_rel_std),
+        regression=_regression(rows, smoother, names, tuple(sources), experiment.inertia_rel_std),
         segments=segments,
         rows=rows,
         fitted=names,
@@ -155,9 +164,9 @@ def _moving(segments: Mapping[str, Sequence[_S]]) -> list[_S]:
     return [r for rs in segments.values() for r in rs if not r.poses]
 
 
-def _fastest(segments: Mapping[str, Sequence[Segment | LongSegment]]) -> float:
-    """Samples a second of the slowest recording [Hz]."""
-    return min((1.0 / r.step for r in _moving(segments)), default=np.inf)
+def fastest_rate(moving: Sequence[Segment | LongSegment]) -> float:
+    """Samples a second of the slowest recording [Hz]; infinite without any."""
+    return min((1.0 / r.step for r in moving), default=np.inf)
 
 
 def _ringing(smoother: Smoother, fastest: float) -> Smoother:
@@ -171,23 +180,32 @@ def _ringing(smoother: Smoother, fastest: float) -> Smoother:
     return smoother if bandwidth <= smoother.bandwidth else replace(smoother, bandwidth=float(bandwidth), reason=reason)
 
 
-def _at_bandwidth(row_model: RowModel, segments: Mapping[str, Sequence[Segment | LongSegment]], bandwidth: float) -> RowModel:
-    return replace(row_model, bandwidth=bandwidth, step=row_step(bandwidth, _fastest(segments)))
+def _at_bandwidth(row_model: RowModel, bandwidth: float, fastest: float) -> RowModel:
+    return replace(row_model, bandwidth=bandwidth, step=row_step(bandwidth, fastest))
 
 
 def _judged(
-    row_model: RowModel,
-    segments: Mapping[str, Sequence[Segment | LongSegment]],
-    fitted: Sequence[Segment | LongSegment],
-    smoother: Smoother,
-) -> BandwidthChoice | None:
-    """What bandwidths from that of the positions downwards do to predictions of the model where it is linearised."""
+    row_model: RowModel, fitted: Sequence[Segment | LongSegment], smoother: Smoother, fastest: float
+) -> tuple[BandwidthChoice | None, Smoother, RowModel]:
+    """What bandwidths from that of the positions downwards do to predictions of the model where it is linearised.
+
+    With it, smoother and rows at the bandwidth that predicts best.
+    """
     judges, plain = _judges(fitted, smoother.bandwidth), replace(row_model, filters=None)
 
     def rows(bandwidth: float) -> tuple[Block, ...]:
-        return tuple(make_blocks(_at_bandwidth(plain, segments, bandwidth), judges))
+        return tuple(make_blocks(_at_bandwidth(plain, bandwidth, fastest), judges))
 
-    return choose_bandwidth(rows, smoother.bandwidth, smoother.at_end)
+    choice = choose_bandwidth(rows, smoother.bandwidth, smoother.at_end)
+    if choice is not None and choice.chosen == 0:
+        smoother = replace(smoother, reason=f"{smoother.reason}; lower ones predict no better")
+    elif choice is not None:
+        reason = (
+            f"of those from {choice.bandwidths[-1]:.2g} Hz up to the {choice.bandwidths[0]:.3g} Hz of the positions' own "
+            "cross-validation, chosen by how well stretches left out are predicted"
+        )
+        smoother = replace(smoother, bandwidth=float(choice.bandwidths[choice.chosen]), reason=reason)
+    return choice, smoother, _at_bandwidth(row_model, smoother.bandwidth, fastest)
 
 
 def chosen_again(problem: Problem) -> Problem:
@@ -201,21 +219,20 @@ def chosen_again(problem: Problem) -> Problem:
     if problem.bandwidths is None or any(e.amplifies_encoder_errors for e in problem.row_model.effects):
         return problem
     sources = problem.rows.segments
-    smoother = smoother_of(problem.experiment, _moving(sources))
+    smoother = smoother_of(problem.experiment, moving := _moving(sources))
     fitted = [segment for name in problem.fitted for segment in sources[name]]
-    choice = _judged(problem.row_model, sources, fitted, smoother)
-    smoother = _chosen(smoother, choice)
-    row_model = _at_bandwidth(problem.row_model, sources, smoother.bandwidth)
+    choice, smoother, row_model = _judged(problem.row_model, fitted, smoother, fastest_rate(moving))
     for motion in problem.experiment.motions:
         _require_length(motion, sources.get(motion.name, []), row_model)
     return _remade(replace(problem, smoother=smoother, bandwidths=choice), row_model)
 
 
-def restrict(problem: Problem, motions: Sequence[str]) -> Problem:
-    """The same model fitted to other motions."""
+def restrict(problem: Problem, motions: Sequence[str], rows: MotionRows | None = None) -> Problem:
+    """The same model fitted to other motions; ``rows`` are theirs, by default those that there are."""
+    rows = problem.rows if rows is None else rows
     names, rel_std = problem.regression.motion_names, problem.experiment.inertia_rel_std
-    regression = _regression(problem.rows, problem.smoother, motions, names, rel_std)
-    return replace(problem, regression=regression, fitted=tuple(motions))
+    regression = _regression(rows, problem.smoother, motions, names, rel_std)
+    return replace(problem, regression=regression, rows=rows, fitted=tuple(motions))
 
 
 def elsewhere(problem: Problem, other: Experiment) -> Problem:
@@ -248,40 +265,31 @@ def relinearised(problem: Problem, point: Point) -> Problem:
 
 def _remade(problem: Problem, row_model: RowModel) -> Problem:
     """The same problem with rows made otherwise."""
-    names, rel_std = problem.regression.motion_names, problem.experiment.inertia_rel_std
-    rows = MotionRows(row_model, problem.rows.segments)
-    regression = _regression(rows, problem.smoother, problem.fitted, names, rel_std)
-    return replace(problem, row_model=row_model, rows=rows, regression=regression)
+    return restrict(problem, problem.fitted, MotionRows(row_model, problem.rows.segments, problem.fitted))
 
 
 def weight_columns(row_model: RowModel) -> list[int]:
     """Which of the estimated effect parameters hold, beside their own, weight that looks like them."""
-    absorbs = _free(row_model, (e.absorbs_weight for e in row_model.effects for _ in e.parameters))
-    return [k for k, holds in enumerate(absorbs) if holds]
-
-
-def _free(row_model: RowModel, values) -> tuple:
-    """Of a tuple with one entry a parameter of the effects, those that are estimated."""
-    return tuple(value for value, free in zip(values, row_model.free, strict=True) if free)
+    return np.flatnonzero(row_model.of_free(e.absorbs_weight for e in row_model.effects for _ in e.parameters)).tolist()
 
 
 def _regression(
     rows: MotionRows, smoother: Smoother, motions: Sequence[str], names: tuple[str, ...], inertia_rel_std: float | None
 ) -> Regression:
     row_model, fitted = rows.row_model, [segment for name in motions for segment in rows.segments[name]]
-    robot, base = row_model.robot, row_model.base
+    robot = row_model.robot
     law, instruments = errors_of(row_model, fitted, smoother)
     return Regression(
-        base=base,
-        effect_names=_free(row_model, (n for e in row_model.effects for n in e.column_names)),
-        effect_units=_free(row_model, (u for e in row_model.effects for u in e.units)),
+        base=row_model.base,
+        effect_names=row_model.effect_names,
+        effect_units=row_model.effect_units,
         channel_names=row_model.channels.names,
         channel_units=row_model.channels.units,
         motion_names=names,
         rows=RowCache(
-            make=partial(rows.blocks, tuple(motions)),
+            blocks=partial(rows.blocks, tuple(motions)),
             count=row_count(row_model, fitted),
-            width=len(row_model.channels.names) * (base.rank + row_model.extra_columns + 1),
+            width=row_width(row_model),
             make_pilot=partial(_pilot, row_model, fitted),
             known_poles=_known_poles(row_model, fitted),
             parts=row_parts(row_model, fitted),
@@ -291,7 +299,7 @@ def _regression(
             guessed_links=None if states_masses(robot) else typical_links(robot).ravel(),
             inertia_rel_std=inertia_rel_std,
             bodies=tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(robot.body_names))),
-            effect_non_negative=_free(row_model, (sign for e in row_model.effects for sign in e.non_negative)),
+            effect_non_negative=row_model.of_free(sign for e in row_model.effects for sign in e.non_negative),
         ),
         regressor_noise=law,
         instruments=instruments,
@@ -362,19 +370,6 @@ def _judges(fitted: Sequence[Segment | LongSegment], bandwidth: float) -> list[S
         pieces = min(pieces, r.count // length)
         out += [r.part(a, a + length) for a in np.linspace(0, r.count - length, pieces).astype(int).tolist()]
     return out
-
-
-def _chosen(smoother: Smoother, choice: BandwidthChoice | None) -> Smoother:
-    """The smoother with the bandwidth that predicts best."""
-    if choice is None:
-        return smoother
-    if choice.chosen == 0:
-        return replace(smoother, reason=f"{smoother.reason}; lower ones predict no better")
-    reason = (
-        f"of those from {choice.bandwidths[-1]:.2g} Hz up to the {choice.bandwidths[0]:.3g} Hz of the positions' own "
-        "cross-validation, chosen by how well stretches left out are predicted"
-    )
-    return replace(smoother, bandwidth=float(choice.bandwidths[choice.chosen]), reason=reason)
 
 
 def smoother_of(experiment: Experiment, segments: Sequence[Segment | LongSegment], bandwidth: float | None = None) -> Smoother:

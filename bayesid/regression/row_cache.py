@@ -1,4 +1,4 @@
-"""Where the rows come from, and which of them are kept.
+"""Where the rows come from, and which of them are kept: the fit, its cross-checks and predictions read the same ones.
 
 Nothing of the size samples x parameters is ever held: rows are kept only while they fit in `CACHE_BYTES`; otherwise
 every reading makes them anew.
@@ -6,9 +6,10 @@ every reading makes them anew.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
+from itertools import chain
 from threading import Lock, RLock
 from typing import Any, TypeVar
 
@@ -16,25 +17,96 @@ import numpy as np
 
 from bayesid.regression.blocks import Block
 from bayesid.regression.parallel import in_order
+from bayesid.regression.row_model import RowModel
+from bayesid.regression.rows import make_blocks, row_chunks
+from bayesid.regression.segment import LongSegment, Segment
 from bayesid.tasks import fold, map_tasks
 
 _A = TypeVar("_A")
 
-#: Rows are kept in memory up to this many bytes, and made anew at every reading beyond.
+#: Rows of a fit are kept in memory up to this many bytes, and those of other motions up to as many; made anew beyond.
 CACHE_BYTES = 64 * 2**20
 #: About as many rows as the noise is learned from, in this many segments spread over a long recording.
 PILOT_ROWS = 2048
 PILOT_SEGMENTS = 8
 
 
+class Kept:
+    """Blocks, made at the first reading and kept if that is read to its end; of threads that read at once, those of the first."""
+
+    def __init__(self, make: Callable[[], Iterable[Block]]):
+        self._make, self._kept, self._lock = make, None, Lock()
+
+    def __reduce__(self):
+        """A copy makes its rows anew."""
+        return Kept, (self._make,)
+
+    def __call__(self) -> Iterator[Block]:
+        """Read all blocks."""
+        if self._kept is not None:
+            yield from self._kept
+            return
+        made = []
+        for block in self._make():
+            made.append(block)
+            yield block
+        with self._lock:
+            self._kept = self._kept or tuple(made)
+
+
+class MotionRows:
+    """Blocks of rows by motion, kept as far as there is room: first of the motions that are ``fitted``."""
+
+    def __init__(self, row_model: RowModel, segments: Mapping[str, Sequence[Segment | LongSegment]], fitted: Sequence[str] = ()):
+        self.row_model, self.segments, self._fitted = row_model, segments, fitted
+        self._blocks: dict[str, Callable[[], Iterable[Block]]] = {}
+        room = 2 * CACHE_BYTES
+        for name in dict.fromkeys((*fitted, *segments)):
+            size = 8 * row_count(row_model, segments[name]) * row_width(row_model)
+            keep = size <= room
+            room -= size if keep else 0
+            make = partial(make_blocks, row_model, segments[name], kept=keep)
+            self._blocks[name] = Kept(make) if keep else make
+
+    def __reduce__(self):
+        """A copy makes its rows anew."""
+        return MotionRows, (self.row_model, self.segments, self._fitted)
+
+    def blocks(self, motions: Iterable[str]) -> Iterator[Block]:
+        """Read the rows of motions, one after the other, in time order."""
+        return chain.from_iterable(self._blocks[name]() for name in motions)
+
+
+def row_parts(row_model: RowModel, segments: Sequence[Segment | LongSegment]) -> tuple[Callable[[], Iterable[Block]], ...] | None:
+    """The rows of segments in parts that can be made anywhere; None where no recording is read in chunks."""
+    if not any(isinstance(s, LongSegment) for s in segments):
+        return None
+    parts: list[Callable[[], Iterable[Block]]] = []
+    for segment in segments:
+        if isinstance(segment, LongSegment):
+            parts += [chunk.blocks for chunk in row_chunks(row_model, segment)]
+        else:
+            parts.append(partial(make_blocks, row_model, [segment]))
+    return tuple(parts)
+
+
+def row_count(row_model: RowModel, segments: Sequence[Segment | LongSegment]) -> int:
+    """How many rows `make_blocks` makes."""
+    margin, step = row_model.margin, row_model.step
+    moving = [s.ends[1] - s.ends[0] - s.lost(margin) - margin for s in segments if not s.poses]
+    return sum(s.count for s in segments if s.poses) + sum(max(int(duration / step), 1) for duration in moving)
+
+
+def row_width(row_model: RowModel) -> int:
+    """Numbers in a row: channels times (parameters + 1)."""
+    return len(row_model.channels.names) * (row_model.base.rank + row_model.extra_columns + 1)
+
+
 @dataclass(eq=False, repr=False)
 class RowCache:
-    """Rows, made when they are read and kept while they fit, with what depends on them alone.
+    """Rows of a regression, with what depends on them alone, which is made once; several threads may read at once."""
 
-    Several threads may read at once: the rows of the first to finish are kept.
-    """
-
-    make: Callable[[], Iterable[Block]]  # makes all blocks; called anew for every reading unless they were kept
+    blocks: Callable[[], Iterable[Block]]  # reads all blocks, recording by recording, in time order
     count: int  # number of rows in all blocks
     width: int  # numbers in a row: channels times (parameters + 1)
     #: Makes blocks of a few segments alone, where there are many more rows than `PILOT_ROWS`; None: picked from all blocks.
@@ -43,9 +115,7 @@ class RowCache:
     known_poles: np.ndarray | None = None
     #: Of recordings that are read in chunks: make some of the blocks each, anywhere; together, in order, all of them.
     parts: Sequence[Callable[[], Iterable[Block]]] | None = None
-    #: Blocks that are in memory, all of them and those of the pilot; None: not made yet, or too many.
-    kept: tuple[Block, ...] | None = None
-    kept_pilot: tuple[Block, ...] | None = None
+    given_pilot: tuple[Block, ...] | None = None  # blocks of the pilot in place of those
 
     def __post_init__(self) -> None:
         """Begin with nothing derived."""
@@ -53,26 +123,12 @@ class RowCache:
 
     def __reduce__(self):
         """A copy reads its rows anew."""
-        return RowCache, (self.make, self.count, self.width, self.make_pilot, self.known_poles, self.parts)
+        return RowCache, (self.blocks, self.count, self.width, self.make_pilot, self.known_poles, self.parts)
 
     @property
     def fits_in_memory(self) -> bool:
         """Whether the blocks are few enough to be kept after the first reading."""
         return 8 * self.count * self.width <= CACHE_BYTES
-
-    def blocks(self) -> Iterator[Block]:
-        """Read all blocks, recording by recording, in time order."""
-        if self.kept is not None:
-            yield from self.kept
-            return
-        made = []
-        for block in self.make():
-            if self.fits_in_memory:
-                made.append(block)
-            yield block
-        if self.fits_in_memory:
-            with self._lock:
-                self.kept = self.kept or tuple(made)
 
     def total(self, each: Callable[[Block], _A], add: Callable[[_A, _A], _A]) -> _A:
         """Sum of what each block gives, from all cores; of recordings that are read in chunks, a task a chunk.
@@ -85,16 +141,13 @@ class RowCache:
 
     def pilot(self) -> Sequence[Block]:
         """Enough blocks to learn the noise from: all of an ordinary recording, segments of a long one."""
-        if self.kept_pilot is None:
-            made = tuple(self._make_pilot())
-            with self._lock:
-                self.kept_pilot = self.kept_pilot or made
-        return self.kept_pilot
 
-    def _make_pilot(self) -> Iterable[Block]:
-        if self.count <= 2 * PILOT_ROWS or self.fits_in_memory or self.make_pilot is None:
-            return few_of(self.blocks(), self.count)
-        return self.make_pilot()
+        def made() -> tuple[Block, ...]:
+            if self.make_pilot is None or self.fits_in_memory or self.count <= 2 * PILOT_ROWS:
+                return tuple(few_of(self.blocks(), self.count))
+            return tuple(self.make_pilot())
+
+        return self.derived("pilot_blocks", made) if self.given_pilot is None else self.given_pilot
 
     def derived(self, name: str, make: Callable[[], Any]) -> Any:
         """What ``make`` gives, made at the first call only: estimators share what depends on the rows alone.
@@ -110,7 +163,7 @@ class RowCache:
 
     def with_pilot(self, pilot: Sequence[Block]) -> RowCache:
         """The same rows with another pilot, of which nothing has been learned yet."""
-        return replace(self, kept=None, kept_pilot=tuple(pilot))
+        return replace(self, given_pilot=tuple(pilot))
 
 
 def _part_total(each: Callable[[Block], _A], add: Callable[[_A, _A], _A], part: Callable[[], Iterable[Block]]) -> _A:
@@ -118,12 +171,10 @@ def _part_total(each: Callable[[Block], _A], add: Callable[[_A, _A], _A], part: 
 
 
 def few_of(blocks: Iterable[Block], rows: int) -> Iterator[Block]:
-    """All blocks where they hold few rows, else about `PILOT_ROWS` of them, evenly spread."""
-    return iter(blocks) if rows <= 2 * PILOT_ROWS else spread(blocks, rows)
-
-
-def spread(blocks: Iterable[Block], rows: int) -> Iterator[Block]:
-    """About `PILOT_ROWS` rows: segments at the starts of blocks, as evenly spread as these are. Reads all blocks."""
+    """All blocks where they hold few rows, else about `PILOT_ROWS` of them, as evenly spread as the blocks' starts. Reads all."""
+    if rows <= 2 * PILOT_ROWS:
+        yield from blocks
+        return
     segment, spacing = PILOT_ROWS // PILOT_SEGMENTS, rows / PILOT_SEGMENTS
     seen, due = 0, 0.0
     for block in blocks:

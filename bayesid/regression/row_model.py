@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,6 +18,8 @@ from bayesid.regression.segment import Segment
 from bayesid.robot.robot import Robot
 from bayesid.signals.filters import LowPass
 from bayesid.signals.smoothing import OVERLAP, smooth
+
+_A = TypeVar("_A")
 
 _PANEL = 512  # samples whose rows stay in the processor's cache
 
@@ -63,6 +68,20 @@ class RowModel:
     def extra_columns(self) -> int:
         """Number of effect parameters that are estimated."""
         return int(self.free.sum())
+
+    def of_free(self, values: Iterable[_A]) -> tuple[_A, ...]:
+        """Of values with one entry a parameter of the effects, those of the parameters that are estimated."""
+        return tuple(compress(values, self.free))
+
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        """Names of the effect parameters that are estimated."""
+        return self.of_free(n for e in self.effects for n in e.column_names)
+
+    @property
+    def effect_units(self) -> tuple[str, ...]:
+        """Their units."""
+        return self.of_free(u for e in self.effects for u in e.units)
 
     def state(self, segment: Segment, first: int, last: int) -> MotionSegment:
         """Smoothed trajectory of samples first ... last - 1, from them and enough neighbours."""

@@ -103,10 +103,6 @@ class RowChunk:
     samples: range  # the samples that all of its rows are made of
     spacing: float | None  # distance of times that regressors are interpolated from [s]; None: they are computed at all samples
 
-    def __call__(self) -> list[Block]:
-        """All blocks."""
-        return list(self.blocks())
-
     def blocks(self, samples: Samples | None = None) -> Iterator[Block]:
         """Blocks of regressor and measurements, or of what else is to be put on the rows."""
         model, segment, every = self.row_model, self.segment, self.samples

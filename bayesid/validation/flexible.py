@@ -22,9 +22,8 @@ from scipy.linalg import LinAlgError, get_lapack_funcs
 from bayesid.recordings.table import usual_step
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import or_one
-from bayesid.regression.motion_rows import row_count
 from bayesid.regression.problem import Problem
-from bayesid.regression.row_cache import CACHE_BYTES, PILOT_ROWS, PILOT_SEGMENTS, few_of
+from bayesid.regression.row_cache import CACHE_BYTES, PILOT_ROWS, PILOT_SEGMENTS, few_of, row_count
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment

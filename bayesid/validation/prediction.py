@@ -14,10 +14,9 @@ from bayesid.estimators import Estimate
 from bayesid.estimators.factor import whitened
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.blocks import Block
-from bayesid.regression.motion_rows import row_count
 from bayesid.regression.parallel import both, in_order
 from bayesid.regression.problem import Problem, elsewhere
-from bayesid.regression.row_cache import few_of
+from bayesid.regression.row_cache import few_of, row_count
 from bayesid.regression.segment import Segment
 from bayesid.signals.noise import NoiseModel
 from bayesid.validation.flexible import BAND, FlexibleGap

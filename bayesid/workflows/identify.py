@@ -111,14 +111,14 @@ def identify(
             m for m in experiment.motions
             if m.name in problem.segments and m.name not in problem.fitted and m.role == "validation"
         ]  # fmt: skip
-        unseen = [motion.name for motion in unfitted]
+        unseen, estimating = [motion.name for motion in unfitted], partial(clock, "estimate")  # rows are timed apart
         if problem.row_model.point is None:
             # What needs the motions' rows alone is done beside the fit: while its own rows are made, another core has time.
             (problem, estimate), (alone, floor, flexible) = both(
-                partial(_solved, problem, method, clock), partial(_beside, problem, method, unseen)
+                partial(solve, problem, method, estimating), partial(_beside, problem, method, unseen)
             )
         else:  # everything is linearised at the estimate, which comes first
-            problem, estimate = _solved(problem, method, clock)
+            problem, estimate = solve(problem, method, estimating)
             alone, floor, flexible = {}, noise_floor(problem), None
         clock("prediction")
         # Fits of single motions and links need none of the predictions: all at once, the longest first.
@@ -180,14 +180,6 @@ def _(result: Identification) -> Files:
     expressions = result.problem.experiment.library.expressions
     others["model.toml"] = lambda path: write_model(effects, values, path, expressions)
     return Files({"estimate.json": result.to_dict()}, others, identification_report(result))
-
-
-def _solved(problem: Problem, method: Estimator, clock: Clock) -> tuple[Problem, Estimate]:
-    """The problem at its solution, and the estimate."""
-    for _ in problem.regression.blocks() if problem.regression.rows.fits_in_memory else ():
-        pass  # makes the rows, whose time is given apart
-    clock("estimate")
-    return solve(problem, method)
 
 
 def _beside(problem: Problem, method: Estimator, unseen: list[str]) -> tuple[Alone, NoiseFloor | None, FlexibleModel | None]:

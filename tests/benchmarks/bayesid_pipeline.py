@@ -71,8 +71,7 @@ def _run(robot, times, q, wrench, torques, kind):
     start = time.perf_counter()
     problem = prepare(experiment, FitOptions(kind))
     prepared = time.perf_counter()
-    for _ in problem.regression.blocks() if problem.regression.rows.fits_in_memory else ():
-        pass
+    problem.regression.pilot()
     rows = time.perf_counter()
     estimate = fit(problem.regression)
     done = time.perf_counter()

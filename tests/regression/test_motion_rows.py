@@ -1,8 +1,8 @@
 import numpy as np
 
-from bayesid.regression import motion_rows
-from bayesid.regression.motion_rows import MotionRows
+from bayesid.regression import row_cache
 from bayesid.regression.problem import prepare, restrict
+from bayesid.regression.row_cache import MotionRows
 from bayesid.regression.rows import make_blocks
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
@@ -17,9 +17,9 @@ def made(tmp_path):
 
 
 def test_rows_of_a_motion_are_made_once(tmp_path, monkeypatch):
-    problem = made(tmp_path)
     calls = []
-    monkeypatch.setattr(motion_rows, "make_blocks", lambda *given, **named: calls.append(1) or make_blocks(*given, **named))
+    monkeypatch.setattr(row_cache, "make_blocks", lambda *given, **named: calls.append(1) or make_blocks(*given, **named))
+    problem = made(tmp_path)
     both = list(problem.regression.blocks())
     alone = list(restrict(problem, ["b"]).regression.blocks())
     assert len(calls) == 2 and alone[-1] is both[-1]
@@ -30,7 +30,7 @@ def test_rows_of_a_motion_are_made_once(tmp_path, monkeypatch):
 
 def test_what_does_not_fit_is_made_anew_and_readings_that_stop_early_keep_nothing(tmp_path, monkeypatch):
     problem = made(tmp_path)
-    monkeypatch.setattr(motion_rows, "CACHE_BYTES", 0)
+    monkeypatch.setattr(row_cache, "CACHE_BYTES", 0)
     rows = MotionRows(problem.row_model, problem.segments)
     one, two = list(rows.blocks(["a"])), list(rows.blocks(["a"]))
     assert one[0] is not two[0]

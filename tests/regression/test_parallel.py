@@ -5,7 +5,7 @@ from collections.abc import Generator
 
 import pytest
 
-from bayesid.regression.parallel import Once, both, in_order
+from bayesid.regression.parallel import both, in_order
 
 
 def test_two_jobs_run_at_once():
@@ -105,25 +105,3 @@ def test_results_that_nobody_asks_for_leave_the_cores_free(monkeypatch):
     assert isinstance(taken, Generator) and next(taken) == 0
     taken.close()
     test_two_jobs_run_at_once()
-
-
-def test_what_is_made_once_is_made_by_one_thread():
-    calls = []
-
-    def make():
-        calls.append(threading.get_ident())
-        time.sleep(0.02)
-        if len(calls) == 1:
-            raise ValueError("not yet")
-        return object()
-
-    get = Once(make)
-    with pytest.raises(ValueError, match="not yet"):
-        get()
-    threads, found = [], []
-    for _ in range(4):
-        threads.append(threading.Thread(target=lambda: found.append(get())))
-        threads[-1].start()
-    for thread in threads:
-        thread.join()
-    assert len(calls) == 2 and len(set(map(id, found))) == 1

@@ -8,7 +8,7 @@ import pytest
 
 from bayesid.regression import row_cache
 from bayesid.regression.blocks import Block
-from bayesid.regression.row_cache import RowCache, few_of
+from bayesid.regression.row_cache import Kept, RowCache, few_of
 
 ROWS, COUNT = 50, 40
 
@@ -20,7 +20,7 @@ def rows() -> RowCache:
         for k in range(COUNT):
             yield Block(np.full((ROWS, 2, 4), float(k)), np.arange(ROWS) + 100.0 * k, 0, k == 0)
 
-    return RowCache(blocks, COUNT * ROWS, 8)
+    return RowCache(Kept(blocks), COUNT * ROWS, 8)
 
 
 def order(blocks) -> list[int]:
@@ -47,24 +47,23 @@ def test_threads_that_read_at_once_all_see_every_block_once(hasty):
     with ThreadPoolExecutor(threads) as pool:
         found = list(pool.map(read, range(threads)))
     assert all(blocks == pilot == list(range(COUNT)) for blocks, pilot, _ in found)
-    assert order(cache.blocks()) == list(range(COUNT)) and cache.kept
+    assert all(a is b for a, b in zip(cache.blocks(), cache.pilot(), strict=True))
     assert len({id(made) for *_, made in found}) == 1
 
 
-def test_rows_are_kept_only_while_they_fit(monkeypatch):
+def test_rows_are_kept_and_said_to_be_only_while_they_fit(monkeypatch):
     cache = rows()
     first = list(cache.blocks())
-    assert all(a is b for a, b in zip(first, cache.blocks(), strict=True))
+    assert cache.fits_in_memory and all(a is b for a, b in zip(first, cache.blocks(), strict=True))
     monkeypatch.setattr(row_cache, "CACHE_BYTES", 0)
-    streamed = rows()
-    first = list(streamed.blocks())
-    assert not streamed.kept and not any(a is b for a, b in zip(first, streamed.blocks(), strict=True))
+    assert not rows().fits_in_memory
 
 
 def test_a_reading_given_up_half_way_keeps_nothing():
     cache = rows()
-    next(cache.blocks())
-    assert not cache.kept and order(cache.blocks()) == list(range(COUNT))
+    begun = next(cache.blocks())
+    again = list(cache.blocks())
+    assert again[0] is not begun and order(again) == list(range(COUNT)) and next(cache.blocks()) is again[0]
 
 
 def test_another_pilot_is_learned_from_anew():

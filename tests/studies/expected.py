@@ -21,9 +21,9 @@ from bayesid import estimators
 from bayesid.design.expected import expect
 from bayesid.design.reading_noise import SENSOR_SETS, SensorSet, white_noise
 from bayesid.recordings.experiment import Experiment, Sensor
-from bayesid.regression.motion_rows import MotionRows
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare, relinearised
+from bayesid.regression.row_cache import MotionRows
 from bayesid.robot.robot import load_robot
 from bayesid.simulation.trajectories import Trajectory
 from bayesid.tasks import cluster, map_tasks

@@ -14,8 +14,8 @@ from bayesid.estimators.least_squares import LeastSquares
 from bayesid.estimators.nonlinear import solve
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.recordings.experiment import Experiment
-from bayesid.regression.motion_rows import MotionRows
 from bayesid.regression.problem import Problem, prepare, restrict
+from bayesid.regression.row_cache import MotionRows
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
 
@@ -47,7 +47,7 @@ def differenced(problem: Problem, kind: str) -> Problem:
     """The same problem with velocities by differences."""
     own = {f.name: getattr(problem.row_model, f.name) for f in fields(RowModel)}
     row_model = DifferencedRows(**own, kind=kind)
-    return restrict(replace(problem, row_model=row_model, rows=MotionRows(row_model, problem.segments)), problem.fitted)
+    return restrict(problem, problem.fitted, MotionRows(row_model, problem.segments, problem.fitted))
 
 
 def _differences(times: np.ndarray, values: np.ndarray, kind: str) -> np.ndarray:

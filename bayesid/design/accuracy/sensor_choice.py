@@ -288,12 +288,7 @@ def _outlook(bench: Bench, candidate: CandidateSensor, rel_std: float) -> Outloo
     model, segments = rows_of(experiment, sensor_set, motions, effects=bench.options.effects, bandwidth=bandwidth)
     weigh = _weighting(bench, candidate, len(model.channels))
     factor = reduce_rows(make_blocks(model, segments), lambda b: _combined(weigh, b)[:, :, :-1]).r
-    names = tuple(n for e in model.effects for n in e.column_names)
-    units = tuple(u for e in model.effects for u in e.units)
-    free = np.flatnonzero(model.free).tolist()
-    expected = Expected(
-        model.base, tuple(names[k] for k in free), tuple(units[k] for k in free), factor, factor, model, tuple(segments)
-    )  # fmt: skip
+    expected = Expected(model.base, model.effect_names, model.effect_units, factor, factor, model, tuple(segments))
     determined = shown(expected, [n for e in model.effects if e.estimated_without_static_run for n in e.column_names])
     nominal = assumed_links(experiment.robot)
     link_std, prior_std = _with_prior(determined, Prior.warped(nominal, rel_std).covariance)

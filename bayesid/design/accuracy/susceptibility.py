@@ -23,10 +23,10 @@ from bayesid.errors import InputError
 from bayesid.estimators.least_squares import LeastSquares, likelihood_weights, weighted_factor
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.linalg import solve
-from bayesid.regression.motion_rows import MotionRows
 from bayesid.regression.parallel import in_order
 from bayesid.regression.problem import restrict
 from bayesid.regression.regression import Regression
+from bayesid.regression.row_cache import MotionRows
 from bayesid.regression.segment import Segment
 from bayesid.signals.noise import NoiseModel
 from bayesid.simulation.plant import plant_readings
@@ -120,8 +120,8 @@ def _read(bench: Bench, segment: Segment, states: MotionSegment, more: tuple[Ter
 def _fitted(bench: Bench, read: Sequence[tuple[str, Segment]], weights: Weights) -> np.ndarray:
     """Least squares of exact readings (p,), with weights that know the noise and what the fit leaves."""
     segments = {name: [s for n, s in read if n == name] for name in bench.problem.fitted}
-    rows = MotionRows(bench.problem.row_model, segments)
-    regression = restrict(replace(bench.problem, segments=segments, rows=rows), bench.problem.fitted).regression
+    rows = MotionRows(bench.problem.row_model, segments, bench.problem.fitted)
+    regression = restrict(bench.problem, bench.problem.fitted, rows).regression
     kind = bench.method.weights if isinstance(bench.method, LeastSquares) else "channel"
     kind = likelihood_weights(weights) if kind == "noise" else kind
     solution = _solution(regression, weights, kind)

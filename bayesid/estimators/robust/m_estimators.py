@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import UNSEEN, or_one, pseudo_inverse, solve, standard_deviations, undetermined
 from bayesid.regression.regression import Regression
-from bayesid.regression.row_cache import RowCache
+from bayesid.regression.row_cache import Kept, RowCache
 from bayesid.signals.noise import NoiseModel
 
 _ABSOLUTE_PASSES, _TRIMMED_PASSES = 20, 12
@@ -307,12 +308,13 @@ def _without_filters(regression: Regression) -> Regression:
         "poses": NoiseModel(np.ones((channels, 1)), np.eye(channels)),
     }
 
-    def undone(blocks: Iterable[Block]) -> Iterator[Block]:
-        for block, rows in whitened(blocks, models):
+    def undone(read: Callable[[], Iterable[Block]]) -> Iterator[Block]:
+        for block, rows in whitened(read(), models):
             yield replace(block, rows=rows, times=block.times[len(block.times) - len(rows) :])
 
     rows = regression.rows
-    plain = RowCache(lambda: undone(rows.blocks()), rows.count, rows.width, make_pilot=lambda: undone(rows.pilot()))
+    blocks = partial(undone, rows.blocks)
+    plain = RowCache(Kept(blocks) if rows.fits_in_memory else blocks, rows.count, rows.width, partial(undone, rows.pilot))
     std = regression.noise_std  # of what went into the filters
     if std is not None:
         std = np.sqrt(np.diag(NoiseModel.stated(std, poles).innovation))
