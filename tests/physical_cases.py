@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from bayesid.estimators.conic.bounds import Bounds
-from bayesid.estimators.conic.data import LinkData
+from bayesid.estimators.conic.links import LinkData, LinkPrior, conic, link_prior
 from bayesid.estimators.conic.physical import evidence_of
-from bayesid.estimators.conic.prior_strength import LinkPrior, link_prior
 from bayesid.estimators.conic.problem import Conic
-from bayesid.estimators.conic.region import conic
 from bayesid.regression.linalg import undetermined
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayesid.estimators.conic.data import compressed
+from bayesid.estimators.conic.links import compressed
 from bayesid.estimators.conic.physical import PhysicalDetails, evidence_of
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.least_squares import covariance_middle, likelihood_weights, weighted_factor

@@ -25,8 +25,8 @@ import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.estimators.encoder_errors import SPECTRA, covariance_of_sums, sensor_alone
-from bayesid.estimators.estimator import OPTIONAL, Details, Estimate
-from bayesid.estimators.factor import Factor, reduce_whitened
+from bayesid.estimators.estimator import OPTIONAL, Details, Estimate, strongest
+from bayesid.estimators.factor import Factor, gram_rows, reduce_whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal, weighted_factor
 from bayesid.estimators.weights import Weights, learn_weights, noise_of_residuals
 from bayesid.regression.blocks import Block, Pair, RegressorNoise
@@ -64,6 +64,10 @@ class Start:
     def back(self, block: Block, flat: np.ndarray) -> np.ndarray:
         """Weighted rows (k channels, p) as (k, channels, p), with the weights of their sums of products."""
         return flat.reshape(*block.rows.shape[:2], -1) * self.scale[block.group][:, None]
+
+    def spread(self, noise: dict[str, NoiseModel], blocks: Iterable[Block]) -> np.ndarray:
+        """``X' W Sigma W X`` of all rows in these coordinates (p, p)."""
+        return gram_rows(blocks, lambda b: noise[b.group].colour_transposed(self.back(b, self.rows(b)[0])))
 
 
 def begin(regression: Regression) -> Start:
@@ -131,17 +135,13 @@ class TotalLeastSquares:
         solution = start.solution + start.root @ step
         draws = [(Pair(b, b) for b in law.simulated(k)) for k in range(count)]
         noise, extra = split_noise(regression, start, solution, law, draws)
-        ordinary = spread(noise, ((b, start.back(b, start.rows(b)[0])) for b in regression.blocks())) + extra
-        meat = ordinary
+        ordinary = meat = start.spread(noise, regression.blocks()) + extra
         if start.weights.widened:
-            wider = start.weights.dispersed(noise)
-            meat = spread(wider, ((b, start.back(b, start.rows(b)[0])) for b in regression.blocks()))
-            meat = meat + start.weights.dispersion * extra
+            meat = start.spread(start.weights.dispersed(noise), regression.blocks()) + start.weights.dispersion * extra
         if not start.weights.complete:
             # What the model lacks has the colour of the motion, as encoder errors have, and looks like them: noise as
             # `wls` takes it is then a lower bound in every direction.
-            whole = ((b, start.back(b, start.rows(b)[0])) for b in regression.blocks())
-            meat = at_least(meat, spread(start.weights.dispersed(), whole))
+            meat = at_least(meat, start.spread(start.weights.dispersed(), regression.blocks()))
         if count > 1:
             # The equations' right side at the solution differs from draw to draw; its mean by that over their number.
             left = np.array([s - (np.eye(p) - d) @ -step for d, s in drawn])
@@ -165,7 +165,7 @@ class TotalLeastSquares:
             warnings=warnings,
         )
         if values[-1] > LARGEST_SHARE:
-            lost = strongest(regression, start.root @ vectors[:, -1], plain)
+            lost = strongest(regression, start.root @ vectors[:, -1], standard_deviations(plain, 1e-300))
             reason = (
                 f"the motions show hardly more than encoder noise in the direction of {lost}: "
                 f"{100 * min(values[-1], 1.0):.0f} % of its rows; lower the bandwidth"
@@ -227,26 +227,10 @@ def noise_of_fit(regression: Regression, start: Start, solution: np.ndarray) -> 
     return noise_of_residuals(regression, blocks, solution, reduce_whitened(blocks, start.weights.noise))
 
 
-def spread(noise: dict[str, NoiseModel], rows: Iterable[tuple[Block, np.ndarray]]) -> np.ndarray:
-    """``Q' Sigma Q`` of rows Q (k, channels, p), block by block."""
-    total = np.zeros(())
-    for block, q in rows:
-        coloured = noise[block.group].colour_transposed(q)
-        flat = coloured.reshape(-1, coloured.shape[2])
-        total = total + flat.T @ flat
-    return total
-
-
 def largest_shift(change: np.ndarray, covariance: np.ndarray, hidden: np.ndarray) -> float:
     """Largest change of a parameter in standard deviations of least squares."""
     std = standard_deviations(covariance, 1e-300)
     return float(np.max(np.where(hidden, 0.0, np.abs(change) / std), initial=0.0))
-
-
-def strongest(regression: Regression, direction: np.ndarray, covariance: np.ndarray) -> str:
-    """Name of the parameter that a direction of parameters moves most, in standard deviations."""
-    std = standard_deviations(covariance, 1e-300)
-    return [*regression.base.labels, *regression.effect_names][int(np.argmax(np.abs(direction) / std))]
 
 
 def _verdict(shift: float) -> str:

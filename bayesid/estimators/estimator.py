@@ -16,8 +16,6 @@ from bayesid.rounding import LEVEL
 from bayesid.section import as_html, as_text
 from bayesid.signals.noise import NoiseModel
 
-__all__ = ["LEVEL", "OPTIONAL", "CustomDetails", "Details", "Estimate", "Estimator", "as_plain", "largest_autocorrelation"]
-
 #: Marks a field that ``to_dict`` leaves out while it is None.
 OPTIONAL = {"optional": True}
 
@@ -278,12 +276,17 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def largest_autocorrelation(white: Sequence[np.ndarray], lags: int = 10) -> float:
-    """Largest autocorrelation of white residuals (k, channels), in standard errors."""
+def largest_autocorrelation(white: Sequence[np.ndarray]) -> float:
+    """Largest autocorrelation of white residuals (k, channels) at lags up to ten, in standard errors."""
     total = max(sum(len(w) for w in white), 1)
     power = sum(np.sum(w**2, axis=0) for w in white)
     worst = 0.0
-    for lag in range(1, lags + 1):
+    for lag in range(1, 11):
         product = sum(np.sum(w[lag:] * w[:-lag], axis=0) for w in white if len(w) > lag)
         worst = max(worst, float(np.max(np.abs(product / np.maximum(power, 1e-300)))) * np.sqrt(total))
     return worst
+
+
+def strongest(regression: Regression, direction: np.ndarray, size: np.ndarray) -> str:
+    """Name of the parameter that a direction of parameters (p,) moves most, in units of their sizes (p,)."""
+    return [*regression.base.labels, *regression.effect_names][int(np.argmax(np.abs(direction) / size))]

@@ -53,6 +53,18 @@ def stack(r: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
     return np.vstack([updated, np.zeros((missing, rows.shape[1]))]) if missing > 0 else updated
 
 
+def factor_rows(parts: Iterable[np.ndarray]) -> Factor:
+    """Factor of rows (k, channels, p + 1), a thousand at a time, which stay in the processor's second cache."""
+    r, count = None, 0
+    for rows in parts:
+        flat = rows.reshape(-1, rows.shape[-1])
+        count += len(flat)
+        for a in range(0, len(flat), PANEL):
+            r = stack(r, flat[a : a + PANEL])
+    assert r is not None
+    return Factor(r, count)
+
+
 def reduce_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray]) -> Factor:
     """Factor of the transformed rows of all blocks; ``transform`` gives (k, channels, p + 1).
 
@@ -63,13 +75,7 @@ def reduce_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray
 
 def factor_of(transform: Callable[[Block], np.ndarray]) -> Callable[[Block], Factor]:
     """Factor of one block's transformed rows, for `reduce_rows`."""
-
-    def reduced(block: Block) -> Factor:
-        new = transform(block)
-        flat = new.reshape(-1, new.shape[-1])
-        return Factor(_stack_all(None, flat), len(flat))
-
-    return reduced
+    return lambda block: factor_rows([transform(block)])
 
 
 def stacked(first: Factor, second: Factor) -> Factor:
@@ -97,14 +103,6 @@ def gram_of(transform: Callable[[Block], np.ndarray], *, row_by_row: bool = Fals
         return total
 
     return gram
-
-
-def _stack_all(r: np.ndarray | None, flat: np.ndarray) -> np.ndarray:
-    """Update a factor with many rows, a thousand at a time, which stay in the processor's second cache."""
-    for a in range(0, len(flat), PANEL):
-        r = stack(r, flat[a : a + PANEL])
-    assert r is not None
-    return r
 
 
 def whitened(blocks: Iterable[Block], noise: dict[str, NoiseModel]) -> Iterator[tuple[Block, np.ndarray]]:
@@ -201,18 +199,13 @@ class Pilot:
 
     def factor_of(self, parts: Sequence[np.ndarray]) -> Factor:
         """Factor of weighted rows of ``orthonormal`` (k, channels, p + 1)."""
+        if self.root is None:
+            return factor_rows(parts)
         flat = [rows.reshape(-1, rows.shape[-1]) for rows in parts]
-        count = sum(map(len, flat))
-        if self.root is not None:
-            try:
-                return Factor(cholesky(sum(f.T @ f for f in flat)) @ self.root, count)
-            except LinAlgError:  # weights so uneven that some rows count for nothing
-                flat = [f @ self.root for f in flat]
-        r = None
-        for rows in flat:
-            r = _stack_all(r, rows)
-        assert r is not None
-        return Factor(r, count)
+        try:
+            return Factor(cholesky(sum(f.T @ f for f in flat)) @ self.root, sum(map(len, flat)))
+        except LinAlgError:  # weights so uneven that some rows count for nothing
+            return factor_rows(f @ self.root for f in flat)
 
 
 def regressor_times(block: Block, matrix: np.ndarray) -> np.ndarray:
@@ -227,38 +220,40 @@ def on_columns(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 def reduce_whitened(blocks: Iterable[Block], noise: dict[str, NoiseModel]) -> Factor:
     """Factor of whitened rows."""
-    r, rows = None, 0
-    for _, white in whitened(blocks, noise):
-        flat = white.reshape(-1, white.shape[-1])
-        rows += len(flat)
-        r = _stack_all(r, flat)
-    assert r is not None
-    return Factor(r, rows)
+    return factor_rows(white for _, white in whitened(blocks, noise))
 
 
 #: Smallest share of the longest column that each adds to those before it, for squares of all rows to lose at most six digits.
 _NEARLY_ORTHONORMAL = 1e-3
 
 
+def reduce_scaled(rows: RowCache, scale: Mapping[str, np.ndarray]) -> Factor:
+    """Factor of all rows, each channel (c,) of a group multiplied by ``scale``."""
+    return rows.total(factor_of(lambda block: block.rows * scale[block.group][:, None]), stacked)
+
+
 def reduce_in_coordinates(root: np.ndarray | None, rows: RowCache, scale: Mapping[str, np.ndarray]) -> Factor:
-    """The same factor as `reduce_rows` finds, in half its time, where a pilot's coordinates are known [Yamamoto2015]_.
+    """The same factor as `reduce_scaled` finds, in half its time, where a pilot's coordinates are known [Yamamoto2015]_.
 
     All rows are nearly orthonormal in the coordinates of ``root``, the `Pilot.root` of some of them, or None; they are read
-    twice where they turn out to be far from it. Each channel (c,) of a group is multiplied by ``scale``.
+    twice where they turn out to be far from it.
     """
-
-    def scaled(block: Block) -> np.ndarray:
-        return block.rows * scale[block.group][:, None]
-
     if root is not None:
-        total = _of_channels(root, rows, scale) if rows.parts else _directly(root, rows, scale)
+        inverse = solve_triangular(root, np.eye(len(root)))
+        if rows.parts:  # which are read for all weights at once
+            found = _channels(inverse, rows)
+            gram = np.sum([np.tensordot(scale[group] ** 2, each.gram, 1) for group, each in found.items()], axis=0)
+            total = _Gram(gram, sum(each.rows for each in found.values()))
+        else:
+            squares = gram_of(lambda b: on_columns(b.rows * scale[b.group][:, None], inverse), row_by_row=True)
+            total = rows.total(lambda block: _Gram(squares(block), block.target.size), _Gram.plus)
         try:
             r = cholesky(total.gram)
         except LinAlgError:  # columns that the pilot shows and the weights hide
-            return rows.total(factor_of(scaled), stacked)
+            return reduce_scaled(rows, scale)
         if np.all(np.diag(r) > _NEARLY_ORTHONORMAL * np.linalg.norm(r, axis=0).max()):
             return Factor(r @ root, total.rows)
-    return rows.total(factor_of(scaled), stacked)
+    return reduce_scaled(rows, scale)
 
 
 @dataclass(frozen=True)
@@ -272,39 +267,19 @@ class _Gram:
         return _Gram(self.gram + other.gram, self.rows + other.rows)
 
 
-def _directly(root: np.ndarray, rows: RowCache, scale: Mapping[str, np.ndarray]) -> _Gram:
-    """The Gram matrix of the weighted rows in the pilot's coordinates."""
-    inverse = solve_triangular(root, np.eye(len(root)))
+def _channels(inverse: np.ndarray, rows: RowCache) -> dict[str, _Gram]:
+    """Of each channel's rows (c, p + 1, p + 1), by group: rows that are not kept are read once for all that needs these.
 
-    def gram(block: Block) -> _Gram:
-        total, count = np.zeros(root.shape), 0
-        for panel in block.panels():
-            z = (panel.rows * scale[panel.group][:, None]).reshape(-1, len(root)) @ inverse
-            total += z.T @ z
-            count += len(z)
-        return _Gram(total, count)
-
-    return rows.total(gram, _Gram.plus)
-
-
-def _of_channels(root: np.ndarray, rows: RowCache, scale: Mapping[str, np.ndarray]) -> _Gram:
-    """The same from `_channels`, which have read the rows for all weights."""
-    found = _channels(root, rows)
-    gram = np.sum([np.tensordot(scale[group] ** 2, each.gram, 1) for group, each in found.items()], axis=0)
-    return _Gram(gram, sum(each.rows for each in found.values()))
-
-
-def _channels(root: np.ndarray, rows: RowCache) -> dict[str, _Gram]:
-    """Of each channel's rows (c, p + 1, p + 1), by group: rows that are not kept are read once for all that needs these."""
-    inverse = solve_triangular(root, np.eye(len(root)))
+    ``inverse`` brings rows to a pilot's coordinates (p + 1, p + 1).
+    """
 
     def grams(block: Block) -> dict[str, _Gram]:
-        total = np.zeros((block.rows.shape[1], *root.shape))
+        total = np.zeros((block.rows.shape[1], *inverse.shape))
         for panel in block.panels():
-            z = (panel.rows.reshape(-1, len(root)) @ inverse).reshape(panel.rows.shape)
+            z = on_columns(panel.rows, inverse)
             for channel, gram in enumerate(total):
                 gram += z[:, channel].T @ z[:, channel]
-        return {block.group: _Gram(total, block.rows.shape[0] * block.rows.shape[1])}
+        return {block.group: _Gram(total, block.target.size)}
 
     return rows.derived("channels", lambda: rows.total(grams, _together))
 
@@ -319,9 +294,6 @@ def _together(first: dict[str, _Gram], second: dict[str, _Gram]) -> dict[str, _G
 def channel_grams(root: np.ndarray | None, rows: RowCache) -> np.ndarray:
     """Gram matrix of each channel's regressor and target over all rows (c, p + 1, p + 1)."""
     if root is not None and rows.parts:
-        return root.T @ np.sum([each.gram for each in _channels(root, rows).values()], axis=0) @ root
-    return rows.total(_channel_gram, np.add)
-
-
-def _channel_gram(block: Block) -> np.ndarray:
-    return np.einsum("tcp,tcq->cpq", block.rows, block.rows, optimize=True)
+        grams = _channels(solve_triangular(root, np.eye(len(root))), rows)
+        return root.T @ np.sum([each.gram for each in grams.values()], axis=0) @ root
+    return rows.total(lambda block: np.einsum("tcp,tcq->cpq", block.rows, block.rows, optimize=True), np.add)

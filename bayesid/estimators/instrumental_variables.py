@@ -36,13 +36,12 @@ from bayesid.estimators.errors_in_variables import (
     largest_shift,
     noise_of_fit,
     split_noise,
-    strongest,
 )
-from bayesid.estimators.estimator import Details, Estimate
+from bayesid.estimators.estimator import Details, Estimate, strongest
 from bayesid.estimators.least_squares import completeness, make_estimate
 from bayesid.regression.blocks import Pair
 from bayesid.regression.hypothesis_tests import hausman
-from bayesid.regression.linalg import at_least
+from bayesid.regression.linalg import at_least, standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -112,15 +111,17 @@ class InstrumentalVariables:
         p = len(step)
         # Rows of [X Z] that the estimate sums up: Z, or the mean of X and Z where each is the other's instrument.
         alone, mean = np.vstack([np.zeros((p, p)), np.eye(p)]), 0.5 * np.vstack([np.eye(p), np.eye(p)])
-        wide_one, wide_both = _spreads(start, start.weights.dispersed(noise), read()) if start.weights.widened else (one, both)
-        meat = alone.T @ wide_one @ alone + mean.T @ wide_both @ mean + start.weights.dispersion * extra
+
+        def summed(one: np.ndarray, both: np.ndarray) -> np.ndarray:
+            return alone.T @ one @ alone + mean.T @ both @ mean
+
+        wide = _spreads(start, start.weights.dispersed(noise), read()) if start.weights.widened else (one, both)
+        meat = summed(*wide) + start.weights.dispersion * extra
         # Residuals also hold what the model lacks: its colour is that of the motion, which no smooth curve of a sensor's
         # noise follows. So the noise as `wls` takes it, encoders' part included, is a lower bound in every direction.
-        plain_one, plain_both = _spreads(start, start.weights.dispersed(), read())
-        meat = at_least(meat, alone.T @ plain_one @ alone + mean.T @ plain_both @ mean)
+        meat = at_least(meat, summed(*_spreads(start, start.weights.dispersed(), read())))
         covariance = start.root @ inverse @ meat @ inverse.T @ start.root.T
-        first = np.vstack([np.eye(p), np.zeros((p, p))])
-        ordinary = first.T @ one @ first + mean.T @ both @ mean
+        ordinary = one[:p, :p] + mean.T @ both @ mean  # of X alone
         plain = start.root @ ordinary @ start.root.T
         estimate = make_estimate(
             self.name, regression, replace(start.weights, noise=total), start.factor, solution, covariance, start.hidden
@@ -131,8 +132,9 @@ class InstrumentalVariables:
         statistic, direction = sums.first_stage(start)
         warnings = list(described.pop("warnings", []))
         if statistic < WEAKEST:
+            hardly = strongest(regression, direction, standard_deviations(plain, 1e-300))
             warnings.append(
-                f"The instruments hardly follow the motion in the direction of {strongest(regression, direction, plain)} "
+                f"The instruments hardly follow the motion in the direction of {hardly} "
                 f"(first-stage statistic {statistic:.2g}, below {WEAKEST:.0f}): its interval may be too short; "
                 "record more motion there, or take wls."
             )

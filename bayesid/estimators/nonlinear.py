@@ -1,16 +1,12 @@
 """Effects that readings are not linear in: Gauss-Newton around any estimator.
 
-The readings are linearised at a point, estimated, and linearised again at the estimate, until it no longer moves.
-A step that makes the residual larger is halved.
+The readings are linearised at a point, estimated, and linearised again at the estimate, until it no longer moves. A step that
+makes the residual larger, or not a number, is halved [Deuflhard2011]_; where that does not help, the fit stops where it is.
 
 From afar, a mount that rings looks stiff: the cost of a resonance has a valley as narrow as the resonance is sharp, and
 Gauss-Newton finds the bottom of the one that it starts in. So where no starting value of an effect that rings is stated, each
 of its own trials (`bayesid.effects.Effect.trials`) is held in turn, everything linear is fitted, and the one that leaves least
 is the start: least in ``sum_c log s_c``, s_c what channel c leaves, the likelihood of noise of unknown sizes.
-
-The steps have step control, for any model that can be linearised at a point. A step is tried, and tried again more cautiously
-while it makes the cost larger or not a number (the trial diverged); when no caution helps, the fit stops where it is. What
-caution means is the model's: a share of the step [Deuflhard2011]_, or damping [Levenberg1944]_, [Marquardt1963]_.
 """
 
 from __future__ import annotations
@@ -18,12 +14,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Generic, TypeVar
 
 import numpy as np
 
 from bayesid.dynamics.base_parameters import nearest_links
-from bayesid.effects import Effect, Point, Surroundings, moved
+from bayesid.effects import Point, Surroundings, moved
 from bayesid.effects.surroundings import surroundings_of
 from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, Huber, Physical, Student, estimator, fit
@@ -33,57 +28,6 @@ from bayesid.regression.linalg import solve as least_squares
 from bayesid.regression.problem import Problem, chosen_again, relinearised
 from bayesid.regression.structure import absorbed_offset
 
-State = TypeVar("State")
-
-
-@dataclass(frozen=True)
-class Linearised(Generic[State]):
-    """A model linearised at a state."""
-
-    cost: float  # what is minimised, at the state
-    #: From the caution: the state after a step, and its cost. States are new objects: a refused one leaves no trace.
-    trial: Callable[[float], tuple[State, float]]
-
-
-@dataclass(frozen=True)
-class StepControl:
-    """How steps are accepted, and how cautious the next one is."""
-
-    #: At most so many steps, and trials of each.
-    steps: int
-    trials: int
-    first: float  # caution of the first trial
-    #: From the caution of a trial that was refused, or accepted: that of the next.
-    refused: Callable[[float], float]
-    accepted: Callable[[float], float]
-    tolerance: Callable[[float], float]  # from the cost at the state: a trial may be larger by this
-    settled: float = float("-inf")  # stop after an accepted step that gains less than this
-
-
-def minimise(state: State, linearise: Callable[[State], Linearised[State] | None], control: StepControl) -> State:
-    """Step from a state until nothing is gained any more.
-
-    ``linearise`` gives None where no step is worth taking: the model has settled, or cannot be linearised.
-    """
-    caution = control.first
-    for _ in range(control.steps):
-        model = linearise(state)
-        if model is None:
-            break
-        limit = model.cost + control.tolerance(model.cost)
-        for _ in range(control.trials):
-            trial, cost = model.trial(caution)
-            if cost <= limit:
-                break
-            caution = control.refused(caution)
-        else:
-            break
-        state, caution = trial, control.accepted(caution)
-        if model.cost - cost < control.settled:
-            break
-    return state
-
-
 #: The effects' parameters have settled when a step is this small against their standard deviations.
 SETTLED = 0.05
 #: Rounds of weighting channels by what a start leaves in them.
@@ -92,10 +36,8 @@ _STARTING_PASSES = 3
 _ROUNDS = 3
 #: Estimators whose values do not depend on what is known of encoder errors, only their covariance does.
 _COVARIANCE_ALONE = (LeastSquares, Ridge, TruncatedSVD, Huber, Student, Physical)
-#: Shares of a step are tried until one makes the residual no larger; the next step is tried whole again.
-_CONTROL = StepControl(
-    steps=15, trials=6, first=1.0, refused=lambda share: 0.5 * share, accepted=lambda _: 1.0, tolerance=lambda cost: 1e-9 * cost
-)
+#: Steps at most, and how often each is halved until it makes the residual no larger; the next one is tried whole again.
+_STEPS, _HALVED = 15, 5
 
 
 def solve(
@@ -128,34 +70,18 @@ def _found(problem: Problem, method: str | Estimator) -> Fitted:
 
 def _started(problem: Problem) -> Problem:
     """The problem linearised where the best trial of effects that ring is; the same where a value is stated or found already."""
+    first = 0
     for effect in problem.row_model.effects:
-        if effect.settling > 0.0 and _at_start(problem, effect):
-            problem = _best(problem, effect)
+        own, point = slice(first, first := first + len(effect.parameters)), problem.row_model.point
+        assert point is not None
+        if effect.settling > 0.0 and point.free[own].all() and tuple(point.values[own]) == effect.starts:
+            tried = [problem]
+            for values in effect.trials(_surroundings(problem)):
+                there = point.values.copy()
+                there[own] = values
+                tried.append(relinearised(problem, replace(point, values=there)))
+            problem = min(tried, key=partial(_left, held=own))
     return problem
-
-
-def _place(problem: Problem, effect: Effect) -> slice:
-    """Indices of its parameters among those of all effects."""
-    before = problem.row_model.effects[: problem.row_model.effects.index(effect)]
-    first = sum(len(e.parameters) for e in before)
-    return slice(first, first + len(effect.parameters))
-
-
-def _at_start(problem: Problem, effect: Effect) -> bool:
-    """Whether all its parameters are estimated and stand where they start if nothing is stated."""
-    point, own = problem.row_model.point, _place(problem, effect)
-    return point is not None and bool(point.free[own].all()) and tuple(point.values[own]) == effect.starts
-
-
-def _best(problem: Problem, effect: Effect) -> Problem:
-    point, own = problem.row_model.point, _place(problem, effect)
-    assert point is not None
-    tried = [problem]
-    for values in effect.trials(_surroundings(problem)):
-        there = point.values.copy()
-        there[own] = values
-        tried.append(relinearised(problem, replace(point, values=there)))
-    return min(tried, key=partial(_left, held=own))
 
 
 def _left(problem: Problem, held: slice) -> float:
@@ -194,7 +120,12 @@ def _minimised(problem: Problem, method: str | Estimator) -> Fitted:
     if not all(np.isfinite(block.rows).all() for block in problem.regression.blocks()):
         specs = ", ".join(e.spec for e in problem.row_model.effects)
         raise InputError(f"readings are not finite where {specs} start; state other values in [model.values]")
-    return minimise(Fitted(problem, method), Fitted.linearised, _CONTROL)
+    now = Fitted(problem, method)
+    for _ in range(_STEPS):
+        if (then := now.next()) is None:
+            break
+        now = then
+    return now
 
 
 @dataclass(frozen=True)
@@ -216,8 +147,8 @@ class Fitted:
         law = self.problem.regression.regressor_noise
         return law is None or law.rung or not isinstance(estimator(self.method), _COVARIANCE_ALONE)
 
-    def linearised(self) -> Linearised[Fitted] | None:
-        """Steps towards the estimate; None where it is at the point already."""
+    def next(self) -> Fitted | None:
+        """A step towards the estimate; None where it is at the point already, or no share of the step is for the better."""
         problem = self.problem
         here = problem.row_model.point
         assert here is not None
@@ -228,14 +159,14 @@ class Fitted:
         small = np.abs(step) <= np.where(np.isfinite(std) & (std > 0), SETTLED * std, 1e-6 + 1e-6 * np.abs(now))
         if small.all():
             return None
-
-        def trial(share: float) -> tuple[Fitted, float]:
-            there = _stepped(problem, here, estimate, step, share)
-            moved_problem = relinearised(problem, there)
-            return Fitted(moved_problem, self.method), _cost(moved_problem, there, estimate)
-
         # In units of the present noise: while the point is far off, model error counts as noise, too.
-        return Linearised(_cost(problem, here, estimate), trial)
+        cost = _cost(problem, here, estimate)
+        for halved in range(_HALVED + 1):
+            there = _stepped(problem, here, estimate, step, 0.5**halved)
+            moved_problem = relinearised(problem, there)
+            if _cost(moved_problem, there, estimate) <= cost + 1e-9 * cost:
+                return Fitted(moved_problem, self.method)
+        return None
 
 
 def default_method(problem: Problem) -> str:

@@ -37,9 +37,6 @@ class EnsembleState:
     points: np.ndarray
     log_density: np.ndarray
     random: Any  # state of emcee's generator
-    #: Proposals of the Laplace move so far, and how many were taken.
-    accepted: int = 0
-    proposed: int = 0
 
 
 class LaplaceMove(Move):
@@ -55,7 +52,6 @@ class LaplaceMove(Move):
 
     def __init__(self, mean: np.ndarray, precision_root: np.ndarray):
         self.mean, self.lower = mean, precision_root
-        self.proposed = self.accepted = 0
 
     def propose(self, model: Any, state: Any) -> tuple[Any, np.ndarray]:
         """One Metropolis-Hastings step of every walker."""
@@ -68,8 +64,6 @@ class LaplaceMove(Move):
         accepted = np.log(model.random.rand(count)) < ratio
         state.coords[accepted] = points[accepted]
         state.log_prob[accepted] = new[accepted]
-        self.proposed += count
-        self.accepted += int(accepted.sum())
         return state, accepted
 
 
@@ -169,7 +163,6 @@ class Ensemble:
         random = mtrand.RandomState(rng.integers(2**32)).get_state()  # emcee knows no other generator
         state = EnsembleState(points, self.log_density(points), random)
         self._run(state, 1, _WARM_UP if self.moves == "laplace" else _WARM_UP_ALONE)
-        state.accepted = state.proposed = 0
         return state
 
     def restored(self, saved: Mapping[str, Any]) -> EnsembleState:
@@ -184,8 +177,8 @@ class Ensemble:
 
     def _run(self, state: EnsembleState, count: int, thin: int) -> np.ndarray:
         """Walkers after every ``thin`` steps (count, walkers, dimensions)."""
-        laplace = LaplaceMove(*self.laplace)
-        moves: Any = {"laplace": [(laplace, 0.9), (DEMove(), 0.1)], "de": DEMove(), "stretch": StretchMove()}[self.moves]
+        mixed = [(LaplaceMove(*self.laplace), 0.9), (DEMove(), 0.1)]
+        moves: Any = {"laplace": mixed, "de": DEMove(), "stretch": StretchMove()}[self.moves]
         sampler = emcee.EnsembleSampler(self.walkers, self.dimensions, self.log_density, moves=moves, vectorize=True)
         now = emcee.State(state.points, log_prob=state.log_density, random_state=state.random)
         steps = sampler.sample(now, iterations=count, thin_by=thin, store=False, skip_initial_state_check=True)
@@ -193,6 +186,4 @@ class Ensemble:
         for k, now in enumerate(steps):
             out[k] = now.coords
         state.points, state.log_density, state.random = now.coords, np.asarray(now.log_prob), now.random_state
-        state.accepted += laplace.accepted
-        state.proposed += laplace.proposed
         return out

@@ -36,8 +36,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import digamma, gammaln
 
-from bayesid.estimators.conic.data import compressed
-from bayesid.estimators.factor import Factor, factor_of, reduce_whitened, stack, stacked, whitened
+from bayesid.estimators.conic.links import compressed
+from bayesid.estimators.factor import Factor, reduce_scaled, reduce_whitened, stack, whitened
 from bayesid.estimators.least_squares import covariance_middle
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.linalg import pseudo_inverse, solve
@@ -129,7 +129,6 @@ class Likelihood:
     noise: dict[str, NoiseModel] | None = None  # what they were whitened with, by group
     adjust: np.ndarray | None = None  # what whitened rows [X y] were then multiplied by (p + 1, p + 1)
     complete: bool = True  # false where the fit that the noise was learned from said that something is missing in the model
-    agreement: float = 1.0  # the probability that this rests on
     dispersion: float = 1.0  # factor of the covariance for the scatter between parts of the recording
     estimate_only: bool = False  # whether the rows say an estimate and its covariance only: one factor, of these, and one scale
     factor: Factor | None = None  # of all weighted rows as they are; None where the likelihood was made from factors
@@ -147,7 +146,7 @@ class Likelihood:
             one[0, : len(wanted)] = wanted
             return cls(
                 one, np.array([len(wanted)]), ("estimate",), tuple(noise), noise=noise, adjust=adjust, complete=False,
-                agreement=weights.agreement, dispersion=weights.dispersion, estimate_only=True, factor=factor,
+                dispersion=weights.dispersion, estimate_only=True, factor=factor,
             )  # fmt: skip
         factors: dict[str, list[np.ndarray]] = {}
         counts: dict[str, int] = {}
@@ -171,7 +170,6 @@ class Likelihood:
             noise,
             adjust,
             weights.complete,
-            weights.agreement,
             weights.dispersion,
             factor=factor,
         )
@@ -213,29 +211,21 @@ def _adjusted(factor: Factor, middle: np.ndarray | None, *, shrink: bool) -> tup
 def _weighted(
     regression: Regression, weights: Weights, passes: int
 ) -> tuple[dict[str, NoiseModel], dict[str, np.ndarray] | None, Factor]:
-    """Noise that rows are whitened with, what channels were weighted with instead (see `covariance_middle`), and the factor."""
+    """Noise that rows are whitened with, what channels were weighted with instead (see `covariance_middle`), and the factor.
+
+    Where the model is incomplete the noise is white by channel: of no ``passes`` as large as that of the weights. Unknown scales
+    must be those of the fit's own residuals: where a channel's scale is not one, its posterior moves the fit away from least
+    squares, and by as much more as the curvature is smaller.
+    """
     if weights.complete:
         return weights.noise, None, reduce_whitened(regression.blocks(), weights.noise)
-    return _by_channel(regression, weights, passes)
-
-
-def _by_channel(
-    regression: Regression, weights: Weights, passes: int
-) -> tuple[dict[str, NoiseModel], dict[str, np.ndarray], Factor]:
-    """White noise by channel, what channels (c,) are weighted with, and the factor of the weighted rows.
-
-    Noise of no passes is that of the weights. Unknown scales must be those of the fit's own residuals: where a channel's scale is
-    not one, its posterior moves the fit away from least squares, and by as much more as the curvature is smaller.
-    """
-
-    def weighted(noise: dict[str, NoiseModel]) -> tuple[dict[str, NoiseModel], dict[str, np.ndarray], Factor]:
-        scale = {g: 1.0 / m.std for g, m in noise.items()}
-        return noise, scale, regression.rows.total(factor_of(lambda b: b.rows * scale[b.group][:, None]), stacked)
-
-    if not passes:
-        return weighted({g: NoiseModel(np.ones((len(m.std), 1)), np.diag(m.std**2)) for g, m in weights.noise.items()})
+    noise = {g: NoiseModel(np.ones((len(m.std), 1)), np.diag(m.std**2)) for g, m in weights.noise.items()}
     solution = weights.solution
     for _ in range(passes):
-        factor = weighted({group: _white(regression, group, solution) for group in weights.noise})[2]
+        white = {group: _white(regression, group, solution) for group in noise}
+        factor = reduce_scaled(regression.rows, {group: 1.0 / model.std for group, model in white.items()})
         solution = solve(factor.matrix, factor.target)
-    return weighted({group: _white(regression, group, solution) for group in weights.noise})
+    if passes:
+        noise = {group: _white(regression, group, solution) for group in noise}
+    scale = {group: 1.0 / model.std for group, model in noise.items()}
+    return noise, scale, reduce_scaled(regression.rows, scale)

@@ -3,6 +3,10 @@
 Unknowns: link parameters phi (with a prior) or base parameters b (flat), effect parameters a, one scale of the noise a whitened
 channel s_c (one of the whole estimate where the model is incomplete), and with Student's t its degrees of freedom nu. Base
 parameters are ``b = K phi`` throughout.
+
+For samplers of one's own there are unconstrained coordinates theta, in this order: for every body its log-Cholesky parameters
+(`bayesid.posterior.coordinates`; with a flat prior the base parameters instead), effect parameters, logarithms of those that
+cannot be negative, logarithms of the scales, and that of Student's degrees of freedom.
 """
 
 from __future__ import annotations
@@ -11,14 +15,14 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import get_lapack_funcs, solve_triangular
+from scipy.linalg import block_diag, get_lapack_funcs, solve_triangular
 
 from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.estimators.dispersion import STRETCHES
 from bayesid.posterior import coordinates
-from bayesid.posterior.likelihood import NOISES, DofPrior, Likelihood, ScalePrior, student_log_likelihood
+from bayesid.posterior.likelihood import NOISES, DofPrior, Likelihood, ScalePrior, student_log_likelihood, student_slopes
 from bayesid.posterior.trajectory import travel
 from bayesid.regression.linalg import undetermined
 from bayesid.regression.regression import Regression
@@ -40,6 +44,11 @@ class Quadratic:
     gram: np.ndarray
     linear: np.ndarray
     constant: np.ndarray
+
+    def at(self, theta: np.ndarray) -> np.ndarray:
+        """Points z of parameters (..., d)."""
+        away = np.reshape(theta - self.centre, (-1, len(self.centre)))
+        return solve_triangular(self.root, away.T).T.reshape(np.shape(theta))
 
     def squares(self, z: np.ndarray) -> np.ndarray:
         """All terms (..., k + 1) at points z (..., d)."""
@@ -173,6 +182,11 @@ class PosteriorModel:
         return self.noise == "student" and self.dof_prior.fixed is None
 
     @property
+    def _fixed_dof(self) -> float:
+        """Degrees of freedom where they are not sampled."""
+        return np.inf if self.noise == "gaussian" else self.dof_prior.fixed or 0.0
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Everything that is sampled: linear parameters, scales, degrees of freedom."""
         return self.linear_names + tuple(f"scale {n}" for n in self.scale_names) + (("nu",) if self.dof_free else ())
@@ -184,18 +198,14 @@ class PosteriorModel:
             scales = np.ones((*draws.shape[:-1], k))
         else:
             scales = draws[..., d : d + k]
-        fixed = np.inf if self.noise == "gaussian" else self.dof_prior.fixed or 0.0
-        dof = draws[..., -1] if self.dof_free else np.full(draws.shape[:-1], fixed)
+        dof = draws[..., -1] if self.dof_free else np.full(draws.shape[:-1], self._fixed_dof)
         return draws[..., :d], scales, dof
 
     @cached_property
     def to_columns(self) -> np.ndarray:
         """Matrix from the linear parameters to the regression's columns (p, d)."""
-        r, e = self.base.rank, len(self.effect_names)
-        k = np.eye(r) if self.prior is None else self.base.matrix
-        out = np.zeros((r + e, k.shape[1] + e))
-        out[:r, : k.shape[1]], out[r:, k.shape[1] :] = k, np.eye(e)
-        return out
+        k = np.eye(self.base.rank) if self.prior is None else self.base.matrix
+        return np.asarray(block_diag(k, np.eye(len(self.effect_names))))
 
     @cached_property
     def prior_factor(self) -> np.ndarray:
@@ -236,16 +246,12 @@ class PosteriorModel:
 
     def log_joint(self, linear: np.ndarray, scales: np.ndarray, dof: np.ndarray) -> np.ndarray:
         """Logarithm of the posterior density of (linear, log scales, dof) without its bounds, up to a constant (...,)."""
-        q = self.quadratic
-        z = solve_triangular(q.root, np.reshape(linear - q.centre, (-1, len(q.centre))).T).T
-        z = z.reshape(np.shape(linear))
-        logs = np.log(scales)
+        squares, logs = self.quadratic.squares(self.quadratic.at(linear)), np.log(scales)
         if self.noise == "gaussian":
-            squares = q.squares(z)
             density = -np.sum(self.likelihood.counts * logs + 0.5 * squares[..., :-1] / scales**2, axis=-1)
-            density = density - 0.5 * squares[..., -1]
         else:
-            density = self.log_likelihood(linear, scales, dof) - 0.5 * q.squares(z)[..., -1]
+            density = self.log_likelihood(linear, scales, dof)
+        density = density - 0.5 * squares[..., -1]
         if not self.scale_prior.known:
             density = density + self.scale_prior.log_density(logs)
         if self.dof_free:
@@ -255,9 +261,8 @@ class PosteriorModel:
     def log_likelihood(self, linear: np.ndarray, scales: np.ndarray, dof: np.ndarray) -> np.ndarray:
         """Log likelihood (...,) of the whitened rows; needs them with Student's t."""
         if self.noise == "gaussian":
-            z = np.linalg.solve(self.quadratic.root, (linear - self.quadratic.centre)[..., None])[..., 0]
             rows = self.likelihood.counts
-            squares = self.quadratic.squares(z)[..., :-1]
+            squares = self.quadratic.squares(self.quadratic.at(linear))[..., :-1]
             return -np.sum(rows * (np.log(scales) + 0.5 * np.log(2 * np.pi)) + 0.5 * squares / scales**2, axis=-1)
         columns = linear @ self.to_columns.T
         flat, size, nu = columns.reshape(-1, columns.shape[-1]), scales.reshape(-1, scales.shape[-1]), np.ravel(dof)
@@ -309,8 +314,7 @@ class PosteriorModel:
         x = linear @ self.entries.T
         ok = np.all(x[..., self.bounded] >= 0, axis=-1)
         if self.bodies:
-            m = coordinates.matrices(x[..., : 10 * self.bodies].reshape(*x.shape[:-1], self.bodies, 10))
-            ok &= np.all(np.linalg.eigvalsh(m)[..., 0] >= 0, axis=-1)
+            ok &= np.all(np.linalg.eigvalsh(coordinates.matrices(self._by_body(x)))[..., 0] >= 0, axis=-1)
         return ok
 
     def interior(self, rng: np.random.Generator) -> np.ndarray:
@@ -346,3 +350,86 @@ class PosteriorModel:
             travel(x, root @ rng.normal(size=n), mean, root, self.bodies, none)
             out[max(i, 0)] = x
         return out @ back.T
+
+    # ---- unconstrained coordinates, for samplers of one's own ------------------------------------------------
+
+    @property
+    def theta_names(self) -> tuple[str, ...]:
+        """Names of the coordinates (q,)."""
+        linear = [f"log {n}" if k in self.bounded else n for k, n in enumerate(self.linear_names)]
+        if self.bodies:
+            bodies = [self.linear_names[10 * k].rpartition(".")[0] for k in range(self.bodies)]
+            linear[: 10 * self.bodies] = [f"{b}.{n}" for b in bodies for n in coordinates.NAMES]
+        return (*linear, *(f"log scale {n}" for n in self.scale_names), *(("log nu",) if self.dof_free else ()))
+
+    def log_density(self, theta: np.ndarray) -> np.ndarray:
+        """Logarithm of the posterior density at ``theta`` (..., q), all Jacobians included, up to a constant (...,).
+
+        With Gaussian noise a call costs the same for any number of rows.
+        """
+        return self._density(np.asarray(theta, float))[0]
+
+    def _density(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Log density (...,), linear parameters, scales and degrees of freedom."""
+        d, k, shape = len(self.linear_names), len(self.scale_names), theta.shape[:-1]
+        x, jacobian = theta[..., :d].copy(), np.zeros(shape)
+        if self.bodies:
+            entries, logs = coordinates.from_log_cholesky(self._by_body(theta))
+            x[..., : 10 * self.bodies] = entries.reshape(*shape, -1)
+            jacobian = jacobian + logs.sum(axis=-1) + np.linalg.slogdet(self.from_entries)[1]
+        x[..., self.bounded] = np.exp(theta[..., self.bounded])
+        jacobian = jacobian + theta[..., self.bounded].sum(axis=-1)
+        scales = np.exp(theta[..., d : d + k]) if k else np.ones((*shape, len(self.likelihood.names)))
+        dof = np.exp(theta[..., -1]) if self.dof_free else np.full(shape, self._fixed_dof)
+        if self.dof_free:
+            jacobian = jacobian + theta[..., -1]
+        linear = x @ self.from_entries.T
+        return self.log_joint(linear, scales, dof) + jacobian, linear, scales, dof
+
+    def log_density_gradient(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`log_density` and its gradient in ``theta``, (...,) and (..., q)."""
+        theta = np.asarray(theta, float)
+        density, linear, scales, dof = self._density(theta)
+        by_linear, by_scales, by_dof = self._slopes(linear, scales, dof)
+        d, k = len(self.linear_names), len(self.scale_names)
+        out = np.empty_like(theta)
+        out[..., :d] = in_x = by_linear @ self.from_entries
+        if self.bodies:
+            bodies = coordinates.pull_back(self._by_body(theta), self._by_body(in_x))
+            out[..., : 10 * self.bodies] = bodies.reshape(*theta.shape[:-1], -1)
+        out[..., self.bounded] = in_x[..., self.bounded] * np.exp(theta[..., self.bounded]) + 1.0
+        if k:
+            out[..., d : d + k] = by_scales + self.scale_prior.slope(np.log(scales))
+        if self.dof_free:
+            out[..., -1] = by_dof * dof + self.dof_prior.shape - self.dof_prior.rate * dof
+        return density, out
+
+    def _slopes(self, linear: np.ndarray, scales: np.ndarray, dof: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives of likelihood and normal priors by linear parameters (..., d), log scales (..., k) and dof (...,)."""
+        q, z = self.quadratic, self.quadratic.at(linear)
+        gaussian = scales**-2 if self.noise == "gaussian" else np.zeros_like(scales)
+        weights = np.concatenate([gaussian, np.ones((*scales.shape[:-1], 1))], axis=-1)
+        slope = np.einsum("...k,kj->...j", weights, q.linear) - np.einsum("...k,kij,...j->...i", weights, q.gram, z)
+        by_linear = np.linalg.solve(q.root.T, slope[..., None])[..., 0]
+        if self.noise == "gaussian":
+            return by_linear, q.squares(z)[..., :-1] / scales**2 - self.likelihood.counts, np.zeros_like(dof)
+        by_scales, by_dof = np.empty_like(scales), np.empty_like(dof)
+        for at in np.ndindex(linear.shape[:-1]):
+            columns = self.to_columns @ linear[at]
+            own, by_scales[at], by_dof[at] = student_slopes(self.likelihood.white, columns, scales[at], float(dof[at]))
+            by_linear[at] += self.to_columns.T @ own
+        return by_linear, by_scales, by_dof
+
+    def to_theta(self, draws: np.ndarray) -> np.ndarray:
+        """Coordinates (..., q) of draws as in ``names``."""
+        linear, scales, dof = self.split(draws)
+        x = linear @ self.entries.T
+        if self.bodies:
+            x[..., : 10 * self.bodies] = coordinates.to_log_cholesky(self._by_body(x)).reshape(*x.shape[:-1], -1)
+        x[..., self.bounded] = np.log(x[..., self.bounded])
+        parts = [x] + ([np.log(scales)] if self.scale_names else []) + ([np.log(dof)[..., None]] if self.dof_free else [])
+        return np.concatenate(parts, axis=-1)
+
+    def _by_body(self, x: np.ndarray) -> np.ndarray:
+        """Ten coordinates of each body (..., b, 10) of points (..., at least 10 b)."""
+        return x[..., : 10 * self.bodies].reshape(*x.shape[:-1], self.bodies, 10)

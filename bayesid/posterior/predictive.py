@@ -165,8 +165,7 @@ def _noise(posterior: Posterior, group: str) -> tuple[NoiseModel, slice]:
     assert likelihood.noise is not None
     known = group if group in likelihood.groups else likelihood.groups[0]
     model = likelihood.noise[known] if known == group else likelihood.noise[known].uncoloured()
-    first = likelihood.groups.index(known) * len(model.std)
-    return model, slice(first, first + len(model.std))
+    return model, _part(likelihood, known, len(model.std))
 
 
 def _replicated(posterior: Posterior, block: Block, rng: np.random.Generator) -> np.ndarray:

@@ -21,7 +21,7 @@ from scipy.linalg import get_blas_funcs, get_lapack_funcs
 
 from bayesid.posterior.likelihood import log_student
 from bayesid.posterior.model import PosteriorModel, Quadratic
-from bayesid.posterior.trajectory import feasible, travel
+from bayesid.posterior.trajectory import travel
 
 _WARM_UP = 100
 _SLICE_STEP = 0.5
@@ -161,10 +161,6 @@ class ReflectiveGibbs:
             state.scales = state.scales * np.exp(by)
             squares = [s * np.exp(-2.0 * by) for s in squares]
         return squares
-
-    def check(self, state: GibbsState) -> bool:
-        """Whether a state is inside all walls."""
-        return bool(feasible(state.x, self.model.bodies, self.model.bounded))
 
 
 def slice_step(density: Callable[[float], float], now: float, rng: np.random.Generator) -> float:

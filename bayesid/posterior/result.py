@@ -14,7 +14,6 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.estimators.parameters import HasParameters, Parameters, tails
 from bayesid.estimators.prior_check import PriorCheck, conflicts
-from bayesid.posterior import density
 from bayesid.posterior.convert import Groups, to_arviz
 from bayesid.posterior.diagnostics import Convergence
 from bayesid.posterior.model import PosteriorModel
@@ -189,22 +188,22 @@ class Posterior(Plots, HasParameters):
     @property
     def theta_names(self) -> tuple[str, ...]:
         """Names of the unconstrained coordinates, see `log_density` (q,)."""
-        return density.theta_names(self.model)
+        return self.model.theta_names
 
     def log_density(self, theta: np.ndarray) -> np.ndarray:
         """Logarithm of the posterior density of unconstrained coordinates, up to a constant: bring your own sampler.
 
-        See `bayesid.posterior.density.log_density` for what ``theta`` (..., q) holds.
+        See `bayesid.posterior.model` for what ``theta`` (..., q) holds.
         """
-        return density.log_density(self.model, theta)
+        return self.model.log_density(theta)
 
     def log_density_gradient(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """`log_density` and its gradient in ``theta``, (...,) and (..., q)."""
-        return density.log_density_gradient(self.model, theta)
+        return self.model.log_density_gradient(theta)
 
     def to_theta(self, draws: np.ndarray | None = None) -> np.ndarray:
         """Unconstrained coordinates (..., q) of draws as in ``model.names``; default: this posterior's."""
-        return density.to_theta(self.model, self.chains.draws if draws is None else np.asarray(draws, float))
+        return self.model.to_theta(self.chains.draws if draws is None else np.asarray(draws, float))
 
     # ---- results as data -----------------------------------------------------------------------------------------
 

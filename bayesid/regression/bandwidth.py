@@ -44,7 +44,6 @@ class BandwidthChoice:
 
     bandwidths: np.ndarray  # (b,) [Hz], falling
     error: np.ndarray  # residual power on parts that were left out, relative to the first bandwidth (b,)
-    doubt: np.ndarray  # standard error of each one's difference to the best (b,)
     estimates: np.ndarray  # channel-weighted least squares at each bandwidth (b, p)
     chosen: int  # index of the one taken
 
@@ -96,7 +95,7 @@ def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float, a
         chosen = int(np.flatnonzero(mean <= (1.0 + HARDLY) * mean[best])[-1])
     else:
         chosen = int(np.flatnonzero(mean - mean[best] <= np.maximum(WORTH * mean[best], 2.0 * doubt))[0])
-    return BandwidthChoice(bandwidths[: len(tried)], mean / mean[0], doubt / mean[0], np.array(estimates), chosen)
+    return BandwidthChoice(bandwidths[: len(tried)], mean / mean[0], np.array(estimates), chosen)
 
 
 def _intervals(blocks: Sequence[Block]) -> list[tuple[int, float, float]]:

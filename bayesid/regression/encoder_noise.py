@@ -187,7 +187,11 @@ class _Encoders:
 
     def _doubt(self) -> dict[str, Any]:
         worst = float(np.max(self.noise.correlation, initial=0.0))
-        return {"warnings": [_not_white(worst)]} if worst > LARGEST_CORRELATION else {}
+        said = (
+            f"Errors of neighbouring position samples correlate by {worst:.2f} (encoder counts of a slow motion do that); the "
+            "correction takes them for independent and is too small: record faster motions, or commanded positions (qr) for iv."
+        )
+        return {"warnings": [said]} if worst > LARGEST_CORRELATION else {}
 
 
 def _whole(segments: Sequence[Segment | LongSegment]) -> list[Segment]:
@@ -245,13 +249,6 @@ def _both(row_model: RowModel, r: Segment, kind: str) -> tuple[Segment, Segment]
     if kind == "halves":
         return replace(r, positions=_half(row_model, r, 0)), replace(r, positions=_half(row_model, r, 1))
     return r, r
-
-
-def _not_white(worst: float) -> str:
-    return (
-        f"Errors of neighbouring position samples correlate by {worst:.2f} (encoder counts of a slow motion do that); "
-        "the correction takes them for independent and is too small: record faster motions, or commanded positions (qr) for iv."
-    )
 
 
 _SOURCES = {

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.estimators import Estimate
-from bayesid.estimators.factor import factor_of, stacked
+from bayesid.estimators.factor import reduce_scaled
 from bayesid.estimators.weights import SMALLEST_AGREEMENT, Weights
 from bayesid.regression import hypothesis_tests
 from bayesid.regression.linalg import solve
@@ -122,8 +122,7 @@ def nominal_estimates(problem: Problem, weights: Weights) -> list[tuple[str, Est
     nominal = base.matrix @ links
     out = [("nominal", "the nominal model as it is, nothing fitted", effects)]
     if names:
-        scale = {group: 1.0 / model.std for group, model in weights.noise.items()}
-        factor = regression.rows.total(factor_of(lambda b: b.rows * scale[b.group][:, None]), stacked)
+        factor = reduce_scaled(regression.rows, {group: 1.0 / model.std for group, model in weights.noise.items()})
         rest = factor.target - factor.matrix[:, : base.rank] @ nominal
         fitted = solve(factor.matrix[:, base.rank :], rest)
         out.append(("nominal + effects", "nominal links; only effects such as offsets and friction are fitted", fitted))

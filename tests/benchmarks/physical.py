@@ -22,11 +22,9 @@ from threadpoolctl import threadpool_limits
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from bayesid.estimators import Bounds
-from bayesid.estimators.conic.data import LinkData
+from bayesid.estimators.conic.links import LinkData, conic, link_prior
 from bayesid.estimators.conic.physical import evidence_of
-from bayesid.estimators.conic.prior_strength import link_prior
-from bayesid.estimators.conic.region import conic
-from bayesid.estimators.conic.solver import solve_conic
+from bayesid.estimators.conic.problem import solve_conic
 from bayesid.regression.linalg import undetermined
 from tests.estimators.test_physical import by_cvxpy
 from tests.physical_cases import arm, flat_bodies

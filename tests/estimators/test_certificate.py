@@ -10,9 +10,8 @@ from scipy.stats import kstest
 
 from bayesid.errors import InputError
 from bayesid.estimators import Bounds, Physical, fit, load_bounds
-from bayesid.estimators.conic.certificate import PhysicsTest, explain
-from bayesid.estimators.conic.problem import Conic
-from bayesid.estimators.conic.solver import Infeasible, solve_conic
+from bayesid.estimators.conic.physical import PhysicsTest, explain
+from bayesid.estimators.conic.problem import Conic, Infeasible, solve_conic
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from tests.physical_cases import arm, random_case
@@ -153,7 +152,7 @@ def test_bounds_from_a_file(tmp_path):
 
 def test_the_global_test_is_conservative_and_has_power(panda):
     """True bodies on the boundary: never more alarms than stated. Readings no body can cause: always."""
-    from bayesid.estimators.conic.region import conic
+    from bayesid.estimators.conic.links import conic
 
     rng = np.random.default_rng(4)
     chances = []

@@ -19,8 +19,7 @@ from bayesid.errors import BayesidWarning, InputError
 from bayesid.estimators import Bounds, Physical, fit, load_bounds
 from bayesid.estimators.conic.bounds import collision_boxes
 from bayesid.estimators.conic.entropic import solve_entropic
-from bayesid.estimators.conic.problem import _RIGHT, _UP, MARGIN, Conic, solution_at
-from bayesid.estimators.conic.solver import _inward, solve_conic
+from bayesid.estimators.conic.problem import _RIGHT, _UP, MARGIN, Conic, _inward, solution_at, solve_conic
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import PriorKnowledge, Regression

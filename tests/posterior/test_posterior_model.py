@@ -13,7 +13,6 @@ from bayesid.estimators import fit
 from bayesid.estimators.factor import whitened
 from bayesid.estimators.weights import learn_weights
 from bayesid.posterior import coordinates
-from bayesid.posterior.density import _density
 from bayesid.posterior.diagnostics import Convergence
 from bayesid.posterior.likelihood import DofPrior, ScalePrior
 from bayesid.posterior.model import PosteriorModel
@@ -142,10 +141,10 @@ def test_unconstrained_density_has_the_whole_jacobian(noise):
     posterior = bare(model)
     rng = np.random.default_rng(3)
     theta = 0.3 * rng.normal(size=len(posterior.theta_names))
-    density, linear, scales, dof = _density(model, theta)
+    density, linear, scales, dof = model._density(theta)
 
     def outcome(t):
-        _, lin, sc, nu = _density(model, t)
+        _, lin, sc, nu = model._density(t)
         # The density is with respect to log s and nu itself.
         return np.concatenate([lin, np.log(sc), [nu] if model.dof_free else []])
 

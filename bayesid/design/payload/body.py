@@ -27,8 +27,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import t as student
 
 from bayesid.dynamics.kinematics import transform_matrix
-from bayesid.estimators.conic.problem import Conic
-from bayesid.estimators.conic.solver import solve_conic
+from bayesid.estimators.conic.problem import Conic, solve_conic
 from bayesid.robot import inertia
 from bayesid.rounding import HALF, LEVEL
 

@@ -24,10 +24,8 @@ from scipy.stats import chi2
 
 from bayesid.errors import EstimationError
 from bayesid.estimators import factor
-from bayesid.estimators.conic.data import LinkData
-from bayesid.estimators.conic.prior_strength import LinkPrior, nominal_prior
-from bayesid.estimators.conic.region import conic, misfit
-from bayesid.estimators.conic.solver import solve_conic
+from bayesid.estimators.conic.links import LinkData, LinkPrior, conic, misfit, nominal_prior
+from bayesid.estimators.conic.problem import solve_conic
 from bayesid.estimators.estimator import LEVEL, Estimate
 from bayesid.estimators.weights import pilot_of
 from bayesid.regression.linalg import or_one, standard_deviations
@@ -171,7 +169,7 @@ def _prediction_root(regression: Regression, estimate: Estimate) -> np.ndarray:
 def _nearest(data: LinkData, prior: LinkPrior) -> tuple[np.ndarray, np.ndarray]:
     """The nearest links in the region (misfit at most 1) or, where there are none, about the least misfit; and their ranks.
 
-    Misfit and distance are weighed with a multiplier, as in `bayesid.estimators.conic.region.closest_within`, but from strong
+    Misfit and distance are weighed with a multiplier, as in `bayesid.estimators.conic.links.closest_within`, but from strong
     pulls to weak ones: those are easily solved, and most often one of the first is inside already.
     """
     tried: list[tuple[float, float, np.ndarray, np.ndarray]] = []

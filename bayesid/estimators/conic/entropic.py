@@ -12,8 +12,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from bayesid.errors import EstimationError
-from bayesid.estimators.conic.problem import Conic, Solution, active_bounds
-from bayesid.estimators.conic.solver import Infeasible
+from bayesid.estimators.conic.problem import Conic, Infeasible, Solution, active_bounds
 from bayesid.robot import inertia
 
 _STEPS = 60

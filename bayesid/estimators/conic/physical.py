@@ -18,26 +18,125 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 from scipy.stats import chi2
 
 from bayesid.arguments import call
 from bayesid.errors import BayesidWarning, EstimationError, InputError
 from bayesid.estimators.conic.bounds import Bounds
-from bayesid.estimators.conic.certificate import Certificate, PhysicsTest, explain
-from bayesid.estimators.conic.data import LinkData, compressed
 from bayesid.estimators.conic.entropic import solve_entropic
-from bayesid.estimators.conic.prior_strength import LinkPrior, link_prior
-from bayesid.estimators.conic.problem import Conic, Linear, Solution
-from bayesid.estimators.conic.region import closest_within, conic, misfit
-from bayesid.estimators.conic.solver import Infeasible, solve_conic
+from bayesid.estimators.conic.links import LinkData, LinkPrior, closest_within, compressed, conic, link_prior, misfit
+from bayesid.estimators.conic.problem import Conic, Infeasible, Linear, Solution, solve_conic
 from bayesid.estimators.estimator import OPTIONAL, Details, Estimate
 from bayesid.estimators.least_squares import completeness, covariance_middle, likelihood_weights, make_estimate, weighted_factor
 from bayesid.estimators.prior_check import Evidence
 from bayesid.estimators.weights import learn_weights
 from bayesid.regression.linalg import UNSEEN, determined_inverse, pseudo_inverse, undetermined
 from bayesid.regression.regression import Regression
+from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
+
+#: Data contradict physics when the test's probability is below this.
+CONTRADICTION = 0.01
+
+
+@dataclass(frozen=True)
+class BodyCertificate:
+    """Eigenvalues of a body's pseudo-inertia relative to its nominal size (4,), and its rank."""
+
+    relative_eigenvalues: tuple[float, ...]
+    rank: int
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """The certificate of an optimum as plain numbers; see `bayesid.estimators.conic.problem.Solution`."""
+
+    certified: bool  # whether gap, violation and residual are below their limits
+    #: Of the optimum: its value here, and what no feasible point can be below.
+    objective: float
+    lower_bound: float
+    relative_gap: float
+    largest_error_std: float  # how far the optimum can be, in standard deviations
+    #: Residuals of the optimality conditions, and iterations of the solver.
+    primal_violation: float
+    dual_residual: float
+    complementarity: float
+    iterations: int
+    margin: float  # how far inside the boundary every body is kept, relative to its size
+    bodies: dict[str, BodyCertificate]  # by name
+    on_boundary: tuple[str, ...]  # names of bodies on the boundary of those that can exist
+    active_bounds: tuple[str, ...]  # names of bounds that hold with equality and push
+
+    @classmethod
+    def of(cls, problem: Conic, solution: Solution, names: Sequence[str]) -> Certificate:
+        """The certificate of a solution; ``names`` are the bodies'."""
+        gap = max(solution.objective - solution.bound, 0.0)
+        return cls(
+            certified=solution.certified,
+            objective=solution.objective,
+            lower_bound=solution.bound,
+            relative_gap=solution.gap,
+            largest_error_std=float(np.sqrt(2.0 * gap)),
+            primal_violation=solution.violation,
+            dual_residual=solution.stationarity,
+            complementarity=solution.complementarity,
+            iterations=solution.iterations,
+            margin=problem.margin,
+            bodies={
+                name: BodyCertificate(tuple(values.tolist()), int(rank))
+                for name, values, rank in zip(names, solution.eigenvalues, solution.ranks, strict=True)
+            },
+            on_boundary=tuple(name for name, rank in zip(names, solution.ranks, strict=True) if rank < 4),
+            active_bounds=tuple(solution.active),
+        )
+
+
+@dataclass(frozen=True)
+class PhysicsTest:
+    """Whether the unconstrained estimate and bodies that can exist are further apart than noise explains."""
+
+    distance: float  # squared, in units of the noise
+    directions: int  # number of determined combinations that the constraints speak of
+    probability_at_most: float  # upper bound on the probability of such a distance when bodies can exist
+    data_contradict_physics: bool  # whether that is below `CONTRADICTION`
+    tested: bool  # whether the nearest body that can exist was found
+
+    @classmethod
+    def of(cls, distance: float, directions: int, tested: bool) -> PhysicsTest:
+        """Test a distance.
+
+        ``distance = min (x - x_ls)' V^-1 (x - x_ls)`` over all possible bodies is at most the distance of the true ones,
+        which is chi-squared; its own law is a mixture of chi-squared ones with fewer degrees [Shapiro1988]_. So the
+        probability is an upper bound, whatever the truth and wherever on the cone: the test never errs more often than it says.
+        """
+        probability = float(chi2.sf(distance, directions)) if directions else 1.0
+        return cls(float(distance), directions, probability, probability < CONTRADICTION, tested)
+
+
+def explain(problem: Conic) -> InputError:
+    """The smallest set of bounds that no body can meet together, found by leaving out one after the other."""
+    # Any regular objective will do; in units of the body's size the solver is well conditioned.
+    plain = replace(problem, factor=np.diag(1.0 / problem.units))
+    conflicting = list(problem.bounds)
+    for group in problem.bounds:
+        rest = [g for g in conflicting if g is not group]
+        if not _feasible(plain, rest):
+            conflicting = rest
+    if not conflicting:
+        return InputError("bounds: no body can meet them; leave some out")
+    if len(conflicting) == 1:
+        return InputError(f"bounds: no body that can exist has {conflicting[0].name}; widen it")
+    named = f"{', '.join(g.name for g in conflicting[:-1])} and {conflicting[-1].name}"
+    return InputError(f"bounds: {named} exclude each other; widen one of them")
+
+
+def _feasible(problem: Conic, bounds: Sequence[Linear]) -> bool:
+    try:
+        return solve_conic(replace(problem, bounds=tuple(bounds))).violation < 1e-6
+    except (Infeasible, EstimationError):
+        return False
+
 
 _TOLERANCE = 1e-9
 
@@ -51,9 +150,7 @@ def possible_range(base: np.ndarray, bodies: Sequence[Sequence[int]], bounds: Se
     possible covers it no less often without what lies outside.
     """
     rank, size = base.shape
-    through = np.zeros((rank + effects, size + effects))
-    through[:rank, :size] = base
-    through[rank:, size:] = np.eye(effects)
+    through = np.asarray(block_diag(base, np.eye(effects)))
     out = np.tile([[-np.inf], [np.inf]], rank + effects)
     others = np.setdiff1d(np.arange(size), np.concatenate([list(b) for b in bodies]) if bodies else [])
     for k, row in enumerate(base):
@@ -78,15 +175,8 @@ def possible_range(base: np.ndarray, bodies: Sequence[Sequence[int]], bounds: Se
 
 def _form(coefficients: np.ndarray) -> np.ndarray:
     """A with ``tr(A P)`` the sum of a body's ten parameters times these coefficients."""
-    m, hx, hy, hz, xx, xy, yy, xz, yz, zz = coefficients
-    return np.array(
-        [
-            [yy + zz, -0.5 * xy, -0.5 * xz, 0.5 * hx],
-            [-0.5 * xy, xx + zz, -0.5 * yz, 0.5 * hy],
-            [-0.5 * xz, -0.5 * yz, xx + yy, 0.5 * hz],
-            [0.5 * hx, 0.5 * hy, 0.5 * hz, m],
-        ]
-    )
+    products = np.einsum("kij,lij->kl", inertia.BASIS, inertia.BASIS)
+    return np.tensordot(np.linalg.solve(products, coefficients), inertia.BASIS, 1)
 
 
 #: Up to this prior relative standard deviation intervals of data and nominal model together cover as often as they say in
@@ -240,7 +330,11 @@ def _solved(
         # The test is between data and physics alone: the nominal model is all but left out.
         nearest, tested = _nearest(data, prior, groups, solution)
         if method.closest is not None:
-            solution, problem, limit = _closest(method.closest, data, prior, groups, nearest)
+            # Among those whose misfit is at most a quantile above the best physical one's: ``{x: ||A x - t||^2 <= min + chi2}``
+            # is the confidence region of the base parameters by likelihood ratio.
+            effects = np.linalg.matrix_rank(data.matrix[:, data.size :], tol=1e-9) if data.matrix.shape[1] > data.size else 0
+            limit = nearest + float(chi2.ppf(method.closest, len(data.target) - effects))
+            solution, problem = closest_within(limit, data, prior, groups)
             closest = Closest(method.closest, limit)
     except Infeasible:
         raise explain(problem) from None
@@ -278,18 +372,6 @@ def _free(data: LinkData, groups: tuple[Linear, ...]) -> int:
     return int(np.linalg.matrix_rank(free[:, length > 0] / length[length > 0], tol=1e-9)) if (length > 0).any() else 0
 
 
-def _closest(
-    confidence: float, data: LinkData, prior: LinkPrior, groups: tuple[Linear, ...], nearest: float
-) -> tuple[Solution, Conic, float]:
-    """Nearest to the nominal links among those whose misfit is at most a quantile above the best physical one's.
-
-    ``{x: ||A x - t||^2 <= min + chi2}`` is the confidence region of the base parameters by likelihood ratio.
-    """
-    effects = np.linalg.matrix_rank(data.matrix[:, data.size :], tol=1e-9) if data.matrix.shape[1] > data.size else 0
-    limit = nearest + float(chi2.ppf(confidence, len(data.target) - effects))
-    return (*closest_within(limit, data, prior, groups), limit)
-
-
 def _posterior(data: LinkData, problem: Conic, base: np.ndarray) -> np.ndarray:
     """Covariance of base parameters and effects from data and nominal model, as if no constraint were there.
 
@@ -297,10 +379,7 @@ def _posterior(data: LinkData, problem: Conic, base: np.ndarray) -> np.ndarray:
     inverse covariance. A projection brings no two points further apart, so regions of that covariance about the projection
     hold the truth at least as often.
     """
-    n = data.matrix.shape[1]
-    through = np.zeros((len(base) + n - data.size, n))
-    through[: len(base), : data.size] = base
-    through[len(base) :, data.size :] = np.eye(n - data.size)
+    through = np.asarray(block_diag(base, np.eye(data.matrix.shape[1] - data.size)))
     half = solve_triangular(problem.factor, through.T, trans=1)
     return half.T @ half
 

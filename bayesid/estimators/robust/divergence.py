@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesid.estimators.estimator import strongest
 from bayesid.estimators.factor import Factor, gram_rows
 from bayesid.estimators.robust.segments import Residuals
 from bayesid.regression.blocks import Block
@@ -130,31 +131,22 @@ def reasons(
     weights of channels alone, ``robust`` and ``values`` those of this fit.
     """
     out = []
+    scales, sizes = regression.nominal_scale, np.ones(len(direction))
+    if scales is not None:
+        sizes[: len(scales)] = np.where(scales > 0, scales, np.inf)
     if share < _LOST:
-        out.append(f"the weights leave {share:.1g} of the information on {strongest_column(regression, direction)}")
+        out.append(f"the weights leave {share:.1g} of the information on {strongest(regression, direction, sizes)}")
     if robust.relative > 1.0 and robust.relative > _WORSE * plain.relative:
         errors = (f"{100 * fit.relative:.3g} %" for fit in (robust, plain))
         out.append("its error is {} of the signal, that of least squares {}".format(*errors))
     if robust.typical > _WORSE_MEDIAN**2 * plain.typical:
         out.append("it fits most of the recording worse than least squares does")
-    scales = regression.nominal_scale
     if scales is not None and regression.nominal is not None:
         rank = len(scales)
-        sizes = np.where(scales > 0, scales, np.inf)
-        away, usual = (np.abs(x[:rank] - regression.nominal) / sizes for x in (values, least_squares))
+        away, usual = (np.abs(x[:rank] - regression.nominal) / sizes[:rank] for x in (values, least_squares))
         worst = int(np.argmax(away))
         if away[worst] > max(_IMPLAUSIBLE, _FURTHER * usual.max()):
             out.append(f"{regression.column_names[worst]} = {values[worst]:.3g} is no body's")
     if scale < _COLLAPSED:
         out.append(f"the scale of the residuals collapsed to {scale:.1g} of the noise")
     return tuple(out)
-
-
-def strongest_column(regression: Regression, direction: np.ndarray) -> str:
-    """The parameter that a direction is mostly about, by sizes of bodies where they are known."""
-    sizes = np.ones(len(direction))
-    scales = regression.nominal_scale
-    if scales is not None:
-        sizes[: len(scales)] = np.where(scales > 0, scales, np.inf)
-    names = (*regression.base.labels, *regression.effect_names)
-    return names[int(np.argmax(np.abs(direction) / sizes))]

@@ -67,7 +67,9 @@ def trimmed(blocks: Sequence[Block]) -> tuple[np.ndarray, dict[str, NoiseModel]]
     values, scale = np.zeros(columns), _spread(residual, centred=True)
     for k in range(_ABSOLUTE_PASSES + _TRIMMED_PASSES):
         last = values
-        values = _solve_gram(sum((_gram(b, scale[b.group]) for b in weighted(blocks, residual, use)), np.zeros(())))
+        gram = gram_rows(weighted(blocks, residual, use), lambda b, scale=scale: b.rows / scale[b.group][:, None])
+        length = or_one(standard_deviations(gram)[:-1])  # good enough to start from
+        values = np.linalg.lstsq(gram[:-1, :-1] / np.outer(length, length), gram[:-1, -1] / length, rcond=1e-12)[0] / length
         residual = residuals(blocks, values)
         scale = _spread(residual)
         z = np.empty(len(residual.values))
@@ -106,17 +108,6 @@ def _spread(residual: Residuals, centred: bool = False) -> dict[str, np.ndarray]
         size = 1.4826 * np.median(np.abs(rows - np.median(rows, axis=0) if centred else rows), axis=0)
         out[group] = np.maximum(size, 1e-9 * max(size.max(), 1e-100))
     return out
-
-
-def _gram(block: Block, scale: np.ndarray) -> np.ndarray:
-    flat = (block.rows / scale[:, None]).reshape(-1, block.rows.shape[2])
-    return flat.T @ flat
-
-
-def _solve_gram(gram: np.ndarray) -> np.ndarray:
-    """Least squares from the Gram matrix of [X y], good enough to start from."""
-    length = or_one(standard_deviations(gram)[:-1])
-    return np.linalg.lstsq(gram[:-1, :-1] / np.outer(length, length), gram[:-1, -1] / length, rcond=1e-12)[0] / length
 
 
 _ROUNDS, _ALTERNATIONS = 6, 10

@@ -1,10 +1,12 @@
-"""The prior of the links: its metric, and its relative standard deviation where nobody states one.
+"""What rows and nominal model say of link parameters, each by itself and weighed against each other.
+
+The rows say a factor of the inverse covariance, and the target it fits exactly.
 
 The distance to the nominal links phi0 is ``(phi - phi0)' C(s)^-1 (phi - phi0)`` with C(s) the covariance of links that are
 scaled, shifted and warped by a share s (`Prior.warped`), which is what s means wherever else it counts; or, with ``L = 2 M`` of
-the pull-back metric [Lee2020]_ or a multiple of the unit matrix (Euclidean), ``C(s)^-1 = L / s^2``. s is the prior
-relative standard deviation. Where it is not stated it is the one that makes the data most probable [Good1965]_: with y the
-data's distance from the nominal links, effects projected out, ``y ~ N(0, 1 + G C(s) G')``. Above one, links are further from the
+the pull-back metric [Lee2020]_ or a multiple of the unit matrix (Euclidean), ``C(s)^-1 = L / s^2``. s is the prior relative
+standard deviation. Where it is not stated it is the one that makes the data most probable [Good1965]_: with y the data's
+distance from the nominal links, effects projected out, ``y ~ N(0, 1 + G C(s) G')``. Above one, links are further from the
 nominal ones than those are large, in some directions (a mass that lies elsewhere) and not in others, which no single s
 describes: the nominal links then fill what the data leave open, by the pull-back metric, and pull at nothing else.
 """
@@ -16,14 +18,61 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import cholesky, null_space, solve_triangular
-from scipy.optimize import fminbound
+from scipy.optimize import brentq, fminbound
 
 from bayesid.errors import InputError
-from bayesid.estimators.conic.data import LinkData
+from bayesid.estimators.conic.problem import Conic, Linear, Solution, solve_conic
 from bayesid.estimators.prior_check import Evidence, PriorCheck, compared
+from bayesid.regression.linalg import column_lengths, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
+
+
+@dataclass(frozen=True)
+class LinkData:
+    """What the rows say, in units of their noise: ``matrix @ x ~ target`` with unit covariance."""
+
+    #: Of x: link parameters, then effects (k, n), (k,).
+    matrix: np.ndarray
+    target: np.ndarray
+    size: int  # number of link parameters
+    #: Ten columns of each body, and its name.
+    bodies: tuple[tuple[int, ...], ...]
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, regression: Regression, matrix: np.ndarray, target: np.ndarray, prior: Prior | None) -> LinkData:
+        """Through K from base to link parameters."""
+        base, r = regression.base, regression.base.rank
+        bodies = regression.knowledge.bodies or (prior.bodies if prior is not None else ())
+        if not bodies:
+            raise InputError("sdp needs to know which columns are a body's ten parameters; give bodies=")
+        for k, body in enumerate(bodies):
+            if len(body) != 10 or not all(0 <= c < len(base.parameter_names) for c in body):
+                raise InputError(f"bodies[{k}] = {list(body)}: give ten columns in the order {', '.join(inertia.PARAMETERS)}")
+        names = [base.parameter_names[body[0]].rsplit(".", 1) for body in bodies]
+        labels = tuple(n[0] if len(n) == 2 and n[1] == "m" else f"body{k + 1}" for k, n in enumerate(names))
+        whole = np.concatenate([matrix[:, :r] @ base.matrix, matrix[:, r:]], axis=1)
+        return cls(whole, target, base.matrix.shape[1], tuple(tuple(b) for b in bodies), labels)
+
+
+def compressed(matrix: np.ndarray, target: np.ndarray, middle: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """A factor of the inverse covariance of the estimate in the determined directions, and the target it fits exactly.
+
+    With ``R = U S V' D`` the coordinates ``z = S V' D x`` have bread one, so their covariance is their meat.
+    """
+    length = column_lengths(matrix)
+    u, s, vt = np.linalg.svd(matrix / length)
+    keep = s > 1e-11 * s[0]
+    rows, rotated = s[keep][:, None] * vt[keep] * length, u.T[keep] @ target
+    if middle is None:
+        return rows, rotated
+    whiten = vt[keep] / s[keep][:, None] / length
+    covariance = whiten @ middle @ whiten.T
+    lower = cholesky(0.5 * (covariance + covariance.T), lower=True)
+    return solve_triangular(lower, rows, lower=True), solve_triangular(lower, rotated, lower=True)
+
 
 METRICS = ("warped", "pullback", "euclidean", "entropic")
 #: Relative standard deviations tried when none is stated.
@@ -92,24 +141,18 @@ def link_prior(
         if len(prior.mean) != data.size:
             raise InputError(f"the prior is for {len(prior.mean)} link parameters, the regression has {data.size}")
         mean = np.asarray(prior.mean, float)
-        references = _references(mean, data.bodies)
         if metric == "warped" and rel_std is None:
             root = prior.root
             check = compared(regression.base, evidence, mean, root)
-            return LinkPrior(mean, root, references, metric, None, True, "the prior's precision", check)
+            return LinkPrior(mean, root, _references(mean, data.bodies), metric, None, True, "the prior's precision", check)
     elif known.states_masses:
         mean = known.nominal_links
         assert mean is not None
-        references = _references(mean, data.bodies)
-    elif known.guessed_links is not None:
-        mean, rel_std = known.guessed_links, _TYPICAL_STD if rel_std is None else rel_std
-        references = _references(mean, data.bodies)
     else:
-        mean = np.zeros(data.size)
-        for body in data.bodies:
-            mean[list(body)] = _TYPICAL
-        references = _references(mean, data.bodies)
         rel_std = _TYPICAL_STD if rel_std is None else rel_std
+        mean = np.zeros(data.size) if known.guessed_links is None else known.guessed_links
+        for body in data.bodies if known.guessed_links is None else ():
+            mean[list(body)] = _TYPICAL
     stated = known.inertia_rel_std if rel_std is None and prior is None else rel_std
     # Exactly known links leave nothing to estimate: whoever asks for an estimate does not take them for exact.
     found = stated is None or stated == 0
@@ -139,7 +182,7 @@ def link_prior(
         guess = "bodies of about 1 kg and 0.1 m" if known.guessed_links is None else "cylinders of water between the joints"
         why = "no nominal model" if known.guessed_links is None else "the URDF states no masses"
         rule = f"{why}: {guess}, within a factor of ten"
-    return LinkPrior(mean, root, references, metric, std, not found, rule, check, end)
+    return LinkPrior(mean, root, _references(mean, data.bodies), metric, std, not found, rule, check, end)
 
 
 def nominal_prior(mean: np.ndarray, bodies: tuple[tuple[int, ...], ...]) -> LinkPrior:
@@ -198,3 +241,59 @@ def _most_probable(data: LinkData, mean: np.ndarray, metric: str) -> tuple[float
     if best == len(grid) - 1 and cost(grid[-1]) <= cost(found):
         return _LARGEST, "largest"
     return float(np.exp(found)), None
+
+
+def conic(data: LinkData, prior: LinkPrior, bounds: tuple[Linear, ...] = (), strength: float = 1.0) -> Conic:
+    """Data and prior, its precision times ``strength``, as one triangular factor by a QR decomposition; nothing is squared."""
+    n = data.matrix.shape[1]
+    root = np.sqrt(strength) * prior.root
+    rows = np.zeros((len(data.target) + len(root), n + 1))
+    rows[: len(data.target), :n], rows[: len(data.target), -1] = data.matrix, data.target
+    rows[len(data.target) :, : data.size] = root
+    rows[len(data.target) :, -1] = root @ prior.mean
+    length = np.linalg.norm(rows[:, :n], axis=0)
+    # A prior may be far weaker than the data, and is used in the rows as it stands.
+    nothing = undetermined(rows[:, :n], 1e-10)
+    if nothing.any():
+        # Columns that neither side knows, such as an effect that never acts: held at zero by next to nothing.
+        hold = np.zeros((int(nothing.sum()), n + 1))
+        hold[np.arange(len(hold)), np.flatnonzero(nothing)] = np.where(length > 0, 1e-6 * length, 1.0)[nothing]
+        rows = np.concatenate([rows, hold])
+    r = np.asarray(np.linalg.qr(rows, mode="r"))
+    r = r * np.where(np.diag(r) < 0, -1.0, 1.0)[: len(r), None]
+    return Conic(
+        factor=r[:n, :n],
+        centre=solve_triangular(r[:n, :n], r[:n, -1]),
+        bodies=data.bodies,
+        references=prior.references,
+        bounds=bounds,
+    )
+
+
+def misfit(data: LinkData, x: np.ndarray) -> float:
+    """Squared distance from the unconstrained estimate, which fits its factor exactly."""
+    return float(np.sum((data.matrix @ x - data.target) ** 2))
+
+
+def closest_within(limit: float, data: LinkData, prior: LinkPrior, bounds: tuple[Linear, ...] = ()) -> tuple[Solution, Conic]:
+    """The possible links nearest to the nominal ones among those whose misfit is at most the limit, and the problem they solve.
+
+    They minimise misfit and distance weighed with a multiplier, and the misfit grows with the distance's
+    weight: so the multiplier is the root of one equation, and the last problem's certificate is this one's.
+    """
+
+    def solved(log_strength: float) -> tuple[Solution, Conic]:
+        problem = conic(data, prior, bounds, float(np.exp(log_strength)))
+        return solve_conic(problem), problem
+
+    def beyond(log_strength: float) -> float:
+        return misfit(data, solved(log_strength)[0].x) / limit - 1.0
+
+    low = float(np.log(prior.loosened))
+    high = low + 3.0
+    while beyond(high) < 0.0:
+        if high > low + 40.0:  # the nominal links themselves fit as well as that
+            return solved(high)
+        low, high = high, high + 3.0
+    root: Any = brentq(beyond, low, high, xtol=1e-9)
+    return solved(float(root))
