@@ -76,7 +76,7 @@ def _motion(plan: PlannedMotions, main: SetReport) -> list[Advice]:
     robot = plan.experiment.robot
     channels = make_channels(plan.experiment, main.sensor_set.channel)
     out = []
-    if plan.poses_only:
+    if all(m.kind == "poses" for m in plan.motions):
         rest = richest_base(robot, channels, main.sensor_set, at_rest=True)
         if rest.rank > found.rank:
             more = rest.rank - found.rank

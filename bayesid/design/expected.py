@@ -127,7 +127,9 @@ def rows_of(
         gone = {n for n, c in experiment.library.classes.items() if c.removed_by_static_run}
         specs = [s for s in specs if s.partition("@")[0] not in gone]
     # Poses less their readings at rest leave nothing: such a set of segments still has the structure of a motion.
-    structure = model_structure(experiment, channels, specs, segments or [_nothing(experiment.robot.n)], "effects")
+    still = np.zeros((1, experiment.robot.n))
+    nothing = Segment(np.zeros(1), still, np.zeros((1, 0)), np.zeros(0), 0, gravity=False, offset=False)
+    structure = model_structure(experiment, channels, specs, segments or [nothing], "effects")
     chosen = smoother_of(experiment, moving, bandwidth).bandwidth
     step = row_step(chosen, fastest_rate(moving))
     model = RowModel(experiment.robot, channels, structure.base, structure.effects, chosen, step, None, structure.point)
@@ -135,48 +137,28 @@ def rows_of(
     return model, [s for s in segments if s.poses or np.ptp(s.inner(model.margin)) >= 2]
 
 
-def _nothing(n: int) -> Segment:
-    """Stands for a motion of n joints whose readings are all taken away."""
-    return Segment(np.zeros(1), np.zeros((1, n)), np.zeros((1, 0)), np.zeros(0), 0, gravity=False, offset=False)
-
-
-def planned_segment(
-    trajectory: Trajectory, channels: int, index: int = 0, *, gravity: bool = True, offset: bool = True
-) -> Segment:
-    """A planned motion as a segment that has not been read yet; ``gravity`` and ``offset`` as in `Segment`."""
-    rates = np.stack([trajectory.velocities, trajectory.accelerations])
-    return Segment(
-        trajectory.times, trajectory.positions, _unread(len(trajectory.times), channels), np.zeros(channels), index, gravity,
-        offset, trajectory.kind == "poses", rates=rates,
-    )  # fmt: skip
-
-
-def _unread(samples: int, channels: int) -> np.ndarray:
-    """Readings that nobody looks at (N, c), without memory of their own."""
-    return np.broadcast_to(0.0, (samples, channels))
-
-
 def _segments(motion: Motion | Trajectory, sensor_set: SensorSet, channels: int, index: int) -> list[Segment]:
-    """Segments of a motion, and poses at rest that are read beside it."""
+    """Segments of a motion that nobody has read yet, and poses at rest that are read beside it."""
     gravity, offset = sensor_set.gravity, sensor_set.offset == "fitted"
+
+    def segment(times: np.ndarray, positions: np.ndarray, poses: bool, **more) -> Segment:
+        unread = np.broadcast_to(0.0, (len(times), channels))  # without memory of their own
+        return Segment(times, positions, unread, np.zeros(channels), index, gravity, offset, poses, **more)
+
     if isinstance(motion, Trajectory):
-        moving = [planned_segment(motion, channels, index, gravity=gravity, offset=offset)]
+        rates = np.stack([motion.velocities, motion.accelerations])
+        moving = [segment(motion.times, motion.positions, motion.kind == "poses", rates=rates)]
         rest = motion.static_positions
     else:
         table, poses = motion.table, motion.kind == "poses"
-        whole = Segment(
-            table.times, table.positions, _unread(len(table), channels), np.zeros(channels), index, gravity, offset, poses,
-            period=motion.period,
-        )  # fmt: skip
+        whole = segment(table.times, table.positions, poses, period=motion.period)
         moving = [whole] if poses else [whole.part(p.start, p.stop) for p in table.segments()]
         rest = None if motion.static is None else motion.static.positions
     if not gravity:
         return [s for s in moving if not s.poses]  # poses less their readings at rest leave nothing
     if rest is None or sensor_set.channel != "wrench":  # torques are not read at rest, see `prepare`
         return moving
-    times = np.arange(float(len(rest)))
-    still = Segment(times, rest, _unread(len(rest), channels), np.zeros(channels), index, True, offset, poses=True)
-    return [*moving, still]
+    return [*moving, segment(np.arange(float(len(rest))), rest, True)]
 
 
 def expected_factors(blocks: Callable[[], Iterable[Block]], noise: Mapping[str, NoiseModel]) -> tuple[np.ndarray, np.ndarray]:

@@ -99,11 +99,6 @@ class PlannedMotions:
         still = np.where(np.ptp(positions, axis=0) <= STILL, np.median(positions, axis=0), np.nan)
         return cls(experiment, tuple(_held(m) for m in motions), still)
 
-    @property
-    def poses_only(self) -> bool:
-        """Whether the robot never moves while it is read."""
-        return all(m.kind == "poses" for m in self.motions)
-
 
 def _held(motion: Motion | Trajectory) -> Motion | Trajectory:
     """A motion whose joints that stand still do so exactly: what jitter excites is noise."""
@@ -121,8 +116,8 @@ def report_of(plan: PlannedMotions, sensor_set: SensorSet, noise: ReadingNoise, 
     """What the motions of a plan show to a sensor set; ``bandwidth`` is that of recorded joint motion [Hz]."""
     experiment = plan.experiment
     expected = expect(experiment, sensor_set, noise, plan.motions, bandwidth=bandwidth)
-    own = tuple(n for n in expected.effect_names if n.partition("@")[0] in _offsets(experiment))
-    found = shown(expected, own)
+    offsets = {n for n, c in experiment.library.classes.items() if c.estimated_without_static_run}
+    found = shown(expected, [n for n in expected.effect_names if n.partition("@")[0] in offsets])
     # Poses alone have base parameters of their own; what another motion would show is that of one that moves.
     channels = make_channels(experiment, sensor_set.channel)
     richest = richest_base(experiment.robot, channels, sensor_set)
@@ -212,8 +207,3 @@ def with_differences(plan: PlannedMotions, reports: Sequence[SetReport]) -> tupl
             links.append(replace(link, joints=joints, sensor_sets=sets))
         out.append(replace(report, parameters=tuple(links)))
     return tuple(out)
-
-
-def _offsets(experiment: Experiment) -> set[str]:
-    """Effects that belong to a sensor set whose offsets are fitted."""
-    return {n for n, c in experiment.library.classes.items() if c.estimated_without_static_run}

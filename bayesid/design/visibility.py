@@ -122,7 +122,7 @@ def kinds_of(base: BaseParameters) -> list[str]:
 def base_expectations(found: Shown, size: np.ndarray | None, prior: np.ndarray | None = None) -> tuple[BaseExpectation, ...]:
     """Expected standard deviations of combinations, and what they are worth, by their sizes (r,) and a prior of links (P, P)."""
     base, std = found.base, found.std
-    share = None if prior is None else _prior_share(found, prior)
+    share = None if prior is None else np.divide(*std_with_prior(found.factor, base.matrix @ prior @ base.matrix.T))
     out = []
     for k, row in enumerate(base.matrix):
         weak = size is not None and std[k] > size[k]
@@ -133,16 +133,18 @@ def base_expectations(found: Shown, size: np.ndarray | None, prior: np.ndarray |
     return tuple(out)
 
 
-def _prior_share(found: Shown, prior: np.ndarray) -> np.ndarray:
-    """Posterior over prior standard deviation (r,): with ``C = L L'`` and ``G = R L``, ``L (1 + G'G)^-1 L'`` over C."""
-    covariance = found.base.matrix @ prior @ found.base.matrix.T
-    if not len(covariance):
-        return np.zeros(0)
-    size = np.sqrt(np.diag(covariance))
-    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+def std_with_prior(rows: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviations by information (r, p) and a prior (p, p), and by the prior alone (p,).
+
+    With the prior's covariance ``C = L L'``, R the information's factor and ``G = R L`` the covariance is ``L (1 + G'G)^-1 L'``.
+    """
+    size = np.sqrt(np.diag(prior))
+    values, vectors = np.linalg.eigh(prior / np.outer(size, size))
     root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    _, s, vt = np.linalg.svd(found.factor @ root)
-    return np.linalg.norm(root @ vt.T / np.sqrt(1.0 + s**2), axis=1) / size
+    _, s, vt = np.linalg.svd(rows @ root)
+    share = np.ones(len(size))
+    share[: len(s)] = 1.0 / np.sqrt(1.0 + s**2)
+    return np.linalg.norm(root @ vt.T * share, axis=1), size
 
 
 def link_expectations(

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.arguments import argument
-from bayesid.design.bounds.consistent import PRIOR_DRAWS, prior_links
-from bayesid.design.bounds.knowledge import Known, known_from
+from bayesid.design.bounds.knowledge import PRIOR_DRAWS, Known, known_from, prior_links
 from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.errors import InputError
 from bayesid.posterior.convert import load_arviz

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesid.design.accuracy.bench import Bench, Setting, make_bench, own_setting, twin
+from bayesid.design.accuracy.bench import Bench, Setting, make_bench, missing_effects, own_setting, twin
 from bayesid.design.accuracy.fits import Learned, combinations, differenced, errors_of, fit_twin, learn, run_twin
-from bayesid.design.accuracy.susceptibility import missing_effects, susceptibility
+from bayesid.design.accuracy.susceptibility import susceptibility
 from bayesid.design.accuracy.sweeps import sweep
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.effects import Term
@@ -189,7 +189,7 @@ SMALL = [
 def test_bias_predicted_is_that_of_a_simulated_effect(name, spec):
     """The real effect in the plant, readings simulated anew with the same noise, fitted without it, weights learned anew."""
     b = bench(name)
-    effect = next(t.effect for t in missing_effects(b) if t.effect.spec == spec)
+    effect = next(t.effect for t in missing_effects(b.experiment, b.problem.row_model) if t.effect.spec == spec)
     values = np.array(effect.typical(b.experiment.robot))
     (usual,) = susceptibility(b, b.estimate.std, (Term(effect, tuple(values)),))
     linear = [k for k, p in enumerate(effect.quantities) if p.linear] or list(range(len(values)))

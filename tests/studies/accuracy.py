@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from bayesid.design.accuracy.bench import Bench, make_bench, own_setting, twin
+from bayesid.design.accuracy.bench import Bench, make_bench, missing_effects, own_setting, twin
 from bayesid.design.accuracy.certificate import certify
 from bayesid.design.accuracy.fits import errors_of, fit_twin, learn, run_twin
-from bayesid.design.accuracy.susceptibility import missing_effects, susceptibility
+from bayesid.design.accuracy.susceptibility import susceptibility
 from bayesid.design.accuracy.sweeps import linear_errors
 from bayesid.effects import Effect, Term
 from bayesid.estimators import estimator
@@ -117,7 +117,7 @@ def biases(bench: Bench, seed: int) -> list[dict[str, Any]]:
         error = float(np.linalg.norm(np.mean(shifts, axis=0) - predicted.sigmas)) / whole
         return {"effect": effect.spec, "largest": predicted.largest, "error": error, "chance": chance, "twins": len(shifts)}
 
-    found = in_order(compared, [t.effect for t in missing_effects(bench)])
+    found = in_order(compared, [t.effect for t in missing_effects(bench.experiment, bench.problem.row_model)])
     return [each for each in found if each is not None]
 
 

@@ -26,8 +26,7 @@ from threadpoolctl import threadpool_limits
 import bayesid
 from bayesid import estimators
 from bayesid.design.bounds.bands import band as band_of
-from bayesid.design.bounds.consistent import prior_links
-from bayesid.design.bounds.knowledge import Known, known_from
+from bayesid.design.bounds.knowledge import Known, known_from, prior_links
 from bayesid.design.bounds.model import ReadingModel, torque_model
 from bayesid.design.bounds.remainder import remainder
 from bayesid.design.bounds.robust import ellipsoid_term, norm_term, tracking_bound

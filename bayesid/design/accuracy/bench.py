@@ -12,19 +12,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import nearest_links
-from bayesid.effects import Effect, Term, middle_of
+from bayesid.effects import Effect, MotionSegment, Term, middle_of
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate, Estimator
 from bayesid.estimators.nonlinear import solve
-from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.table import Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
+from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
 from bayesid.regression.structure import absorbed_offset
 from bayesid.signals.noise import NoiseModel, estimate_noise
@@ -82,6 +84,16 @@ class Bench:
     def middle(self) -> np.ndarray:
         """Joint positions at the middle of the first motion (n,)."""
         return middle_of(next(m for m in self.motions if m.pieces).trajectory().positions)
+
+    def smoothed(self, segment: Segment, row_model: RowModel) -> MotionSegment:
+        """The motion of a segment that exact readings are made of."""
+        state = row_model.state(segment, 0, len(segment.times))
+        return replace(state, still=segment.poses, bandwidth=row_model.bandwidth, middle=self.middle)
+
+    @property
+    def plant(self) -> dict[str, dict[str, Any]]:
+        """Values of the plant's effects by name and parameter."""
+        return {t.effect.spec: dict(zip(t.effect.parameters, t.values, strict=True)) for t in self.terms}
 
     @cached_property
     def predicted_motions(self) -> tuple[str, ...]:
@@ -150,6 +162,17 @@ def make_bench(
         experiment, problem, estimate, method, replace(options, channel=problem.channel, motions=problem.fitted),
         links.reshape(-1, 10), tuple(terms), _sample_noise(problem, estimate), float(count), scatter, nominal,
     )  # fmt: skip
+
+
+def missing_effects(experiment: Experiment, row_model: RowModel) -> tuple[Term, ...]:
+    """Every effect of the library that acts on the channels and is not in the model, at every place, of usual size."""
+    robot, known, names = experiment.robot, {e.spec for e in row_model.effects}, row_model.channels.names
+    return tuple(
+        Term(effect, tuple(effect.typical(robot)))
+        for name in experiment.library.classes
+        for effect in experiment.library.places(name, robot.joint_names, names, experiment.gear_ratio)
+        if effect.spec not in known
+    )
 
 
 def true_solution(bench: Bench, problem: Problem) -> np.ndarray:
@@ -224,13 +247,14 @@ def twin(bench: Bench, setting: Setting, seed: int) -> Experiment:
     shift = rng.uniform(0.0, 1.0)
     aside = setting.encoder * bench.resolution * rng.uniform(-0.5, 0.5, bench.experiment.robot.n)
     trajectories = [_shifted(m, setting, shift, aside) for m in bench.motions]
-    plant = {t.effect.spec: dict(zip(t.effect.parameters, t.values, strict=True)) for t in bench.terms}
+    plant = bench.plant
     for effect in _offsets(bench) if setting.offset else ():
         plant.setdefault(effect.spec, dict(zip(effect.parameters, effect.typical(bench.experiment.robot), strict=True)))
     exact = simulate(bench.experiment, trajectories, effects=plant, links=bench.links, recorder=_PERFECT)
-    motions = [
-        _recorded(bench, setting, m, own, rng) for m, own in zip(exact.motions, bench.motions, strict=True)
-    ]  # fmt: skip
+    motions = []
+    for m, own in zip(exact.motions, bench.motions, strict=True):
+        static = None if m.static is None else _read(bench, setting, m.static, own, rng)
+        motions.append(replace(m, table=_read(bench, setting, m.table, own, rng), static=static))
     return replace(bench.experiment, motions=tuple(motions), **_model(bench, setting))
 
 
@@ -249,7 +273,7 @@ def _offsets(bench: Bench) -> tuple[Effect, ...]:
 
 def _model(bench: Bench, setting: Setting) -> dict:
     """The model that the user has, started at the truth: twins need not find it from afar."""
-    values = {t.effect.spec: dict(zip(t.effect.parameters, t.values, strict=True)) for t in bench.terms}
+    values = bench.plant
     stated = bench.experiment.effect_values
     for spec in values:
         if any(stated.get(key, {}).get("fixed", False) for key in (spec, spec.partition("@")[0])):
@@ -293,11 +317,6 @@ def _times(setting: Setting, shift: float) -> Callable[[np.ndarray], np.ndarray]
         return at[:: max(round(1.0 / setting.rate), 1)]
 
     return times
-
-
-def _recorded(bench: Bench, setting: Setting, exact: Motion, own: RecordedMotion, rng: np.random.Generator) -> Motion:
-    static = None if exact.static is None else _read(bench, setting, exact.static, own, rng)
-    return replace(exact, table=_read(bench, setting, exact.table, own, rng), static=static)
 
 
 def _read(bench: Bench, setting: Setting, exact: Table, own: RecordedMotion, rng: np.random.Generator) -> Table:

@@ -20,13 +20,13 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field
 
-from bayesid.design.accuracy.bench import Bench
+from bayesid.design.accuracy.bench import Bench, missing_effects
 from bayesid.design.expected import Expected, rows_of
 from bayesid.design.reading_noise import SENSOR_SETS
-from bayesid.design.visibility import Shown, shown
+from bayesid.design.visibility import Shown, shown, std_with_prior
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.dynamics.channels import WRENCH_NAMES
-from bayesid.effects import Effect, MotionSegment, Term
+from bayesid.effects import MotionSegment, Term
 from bayesid.errors import InputError
 from bayesid.estimators.factor import reduce_rows
 from bayesid.recordings.experiment import Experiment, Sensor
@@ -100,12 +100,11 @@ class CandidateSensor:
     load_map: np.ndarray | None = None
     drives: tuple[int, ...] = ()  # indices of the joints that torque sensors are in
 
-    @property
-    def reading_map(self) -> np.ndarray:
-        """From the channels to the readings (m, c); load cells of equal stiffness share a wrench as its pseudo-inverse does."""
+    def reading_map(self, channels: int) -> np.ndarray:
+        """From the channels of its kind to the readings (m, c); load cells of equal stiffness share a wrench as `pinv` does."""
         if self.load_map is not None:
             return np.linalg.pinv(self.load_map)
-        return np.eye(len(self.readings))
+        return np.eye(channels)[list(self.drives)] if self.kind == "torque" else np.eye(channels)
 
 
 def read_sensors(path: str | Path, robot: Robot) -> tuple[CandidateSensor, ...]:
@@ -291,11 +290,12 @@ def _outlook(bench: Bench, candidate: CandidateSensor, rel_std: float) -> Outloo
     expected = Expected(model.base, model.effect_names, model.effect_units, factor, factor, model, tuple(segments))
     determined = shown(expected, [n for e in model.effects if e.estimated_without_static_run for n in e.column_names])
     nominal = assumed_links(experiment.robot)
-    link_std, prior_std = _with_prior(determined, Prior.warped(nominal, rel_std).covariance)
+    prior = Prior.warped(nominal, rel_std).covariance
+    link_std, prior_std = std_with_prior(determined.factor @ determined.base.matrix, prior)
     terms = tuple(t for t in bench.terms if any(t.effect.acts_on(c) for c in model.channels.names))
-    motions = [(s, _motion(model, s, bench)) for s in segments]
+    motions = [(s, bench.smoothed(s, model)) for s in segments]
     plain = [plant_readings(experiment.robot, model.channels, states, links, terms) for _, states in motions]
-    peak = np.max([np.abs(r @ candidate_map(candidate, r.shape[1]).T).max(axis=0) for r in plain], axis=0)
+    peak = np.max([np.abs(r @ candidate.reading_map(r.shape[1]).T).max(axis=0) for r in plain], axis=0)
     if model.point is not None:  # columns are those of this very plant
         links, terms = model.point.links, model.point.terms(model.effects)
     return Outlook(
@@ -304,17 +304,12 @@ def _outlook(bench: Bench, candidate: CandidateSensor, rel_std: float) -> Outloo
     )  # fmt: skip
 
 
-def candidate_map(candidate: CandidateSensor, channels: int) -> np.ndarray:
-    """From the channels of its kind to the candidate's readings (m, c)."""
-    return np.eye(channels)[list(candidate.drives)] if candidate.kind == "torque" else candidate.reading_map
-
-
 def _weighting(bench: Bench, candidate: CandidateSensor, channels: int) -> np.ndarray:
     """From the channels to white readings of unit variance at the recording's rate (m, c)."""
     rate = 1.0 / min(usual_step(m.motion.table.times) for m in bench.motions if m.pieces)
     # Faster samples are averaged over the time of one sample of the recording.
     averaged = np.sqrt(rate / candidate.rate) if candidate.rate else 1.0
-    return candidate_map(candidate, channels) / (averaged * candidate.std[:, None])
+    return candidate.reading_map(channels) / (averaged * candidate.std[:, None])
 
 
 def _combined(weigh: np.ndarray, block: Block) -> np.ndarray:
@@ -322,50 +317,22 @@ def _combined(weigh: np.ndarray, block: Block) -> np.ndarray:
     return np.einsum("mc,kcp->kmp", weigh, block.rows)
 
 
-def _motion(model: RowModel, segment: Segment, bench: Bench) -> MotionSegment:
-    state = model.state(segment, 0, len(segment.times))
-    return replace(state, still=segment.poses, bandwidth=model.bandwidth, middle=bench.middle)
-
-
-def _with_prior(found: Shown, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations of the link parameters after and before (P,).
-
-    With ``C0 = L L'`` and ``G = R K L`` the covariance is ``L (1 + G'G)^-1 L'``.
-    """
-    size = np.sqrt(np.diag(prior))
-    values, vectors = np.linalg.eigh(prior / np.outer(size, size))
-    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    if not found.base.rank:
-        return size, size
-    _, s, vt = np.linalg.svd(found.factor @ found.base.matrix @ root)
-    share = np.ones(len(size))
-    share[: len(s)] = 1.0 / np.sqrt(1.0 + s**2)
-    return np.linalg.norm(root @ vt.T * share, axis=1), size
-
-
 def _effects(
     experiment: Experiment, model: RowModel, motions: Sequence[tuple[Segment, MotionSegment]], links: np.ndarray,
     terms: tuple[Term, ...], weigh: np.ndarray,
 ) -> dict[str, float | None]:  # fmt: skip
     """Smallest share of each effect of usual size that would stand out by five standard deviations."""
-    robot, known = experiment.robot, {e.spec for e in model.effects}
-    absent = [
-        effect
-        for name in experiment.library.classes
-        for effect in experiment.library.places(name, robot.joint_names, model.channels.names, experiment.gear_ratio)
-        if effect.spec not in known
-    ]
 
-    def length(effect: Effect) -> float:
-        term = Term(effect, tuple(effect.typical(robot)))
+    def length(term: Term) -> float:
         try:
             with np.errstate(all="ignore"):
-                made = [plant_readings(robot, model.channels, states, links, (*terms, term)) for _, states in motions]
+                made = [plant_readings(experiment.robot, model.channels, states, links, (*terms, term)) for _, states in motions]
         except InputError:
             return 0.0
         read = [replace(s, readings=r) for (s, _), r in zip(motions, made, strict=True)]
         # The columns explain the plant itself: what they leave is the effect's.
         return float(abs(reduce_rows(make_blocks(model, read), lambda b: _combined(weigh, b)).r[-1, -1]))
 
+    absent = missing_effects(experiment, model)
     lengths = zip(absent, in_order(length, absent), strict=True)
-    return {e.spec: DEFAULT.detected / size if size > DEFAULT.detected / _ABSURD else None for e, size in lengths}
+    return {t.effect.spec: DEFAULT.detected / size if size > DEFAULT.detected / _ABSURD else None for t, size in lengths}

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesid.design.accuracy.bench import Bench
+from bayesid.design.accuracy.bench import Bench, missing_effects
 from bayesid.design.accuracy.fits import prediction_error
 from bayesid.effects import Effect, MotionSegment, Term
 from bayesid.errors import InputError
@@ -57,25 +57,14 @@ class Susceptibility:
         return int(np.nanargmax(np.abs(self.sigmas))) if np.isfinite(self.sigmas).any() else 0
 
 
-def missing_effects(bench: Bench) -> tuple[Term, ...]:
-    """Every effect of the library that acts on the channels and is not in the model, at every place, of usual size."""
-    experiment, row_model = bench.experiment, bench.problem.row_model
-    known = {e.spec for e in row_model.effects}
-    names = row_model.channels.names
-    return tuple(
-        Term(effect, tuple(effect.typical(experiment.robot)))
-        for name in experiment.library.classes
-        for effect in experiment.library.places(name, experiment.robot.joint_names, names, experiment.gear_ratio)
-        if effect.spec not in known
-    )
-
-
 def susceptibility(
     bench: Bench, std: np.ndarray, terms: tuple[Term, ...] | None = None, tell: Callable[[str], object] = lambda _: None
 ) -> tuple[Susceptibility, ...]:
     """Bias of the user's estimate, with standard deviations (r,), for each effect, default `missing_effects`, largest first."""
-    terms = missing_effects(bench) if terms is None else terms
-    motions, weights = _motions(bench), learn_weights(bench.problem.regression)
+    problem = bench.problem
+    terms = missing_effects(bench.experiment, problem.row_model) if terms is None else terms
+    fitted = [s for name in problem.fitted for s in problem.segments[name]]
+    motions, weights = [(s, bench.smoothed(s, problem.row_model)) for s in fitted], learn_weights(problem.regression)
     start = _fitted(bench, [_read(bench, segment, states, ()) for segment, states in motions], weights)
 
     def off(term: Term) -> np.ndarray | None:
@@ -94,17 +83,6 @@ def susceptibility(
             sigmas = np.where(np.isfinite(std) & (std > 0), base / np.where(std > 0, std, 1.0), np.nan)
             out.append(Susceptibility(term.effect, term.values, base, sigmas, prediction_error(bench, error)))
     return tuple(sorted(out, key=lambda s: -s.largest))
-
-
-def _motions(bench: Bench) -> list[tuple[Segment, MotionSegment]]:
-    """The fitted segments with their smoothed motion."""
-    problem = bench.problem
-    row_model = problem.row_model
-    out = []
-    for segment in (s for name in problem.fitted for s in problem.segments[name]):
-        state = row_model.state(segment, 0, len(segment.times))
-        out.append((segment, replace(state, still=segment.poses, bandwidth=row_model.bandwidth, middle=bench.middle)))
-    return out
 
 
 def _read(bench: Bench, segment: Segment, states: MotionSegment, more: tuple[Term, ...]) -> tuple[str, Segment]:

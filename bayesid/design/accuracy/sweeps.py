@@ -67,10 +67,8 @@ class SweptFactor:
 
 def all_factors(bench: Bench) -> tuple[SweptFactor, ...]:
     """Every factor that such an experiment has."""
-    factors = [
-        _noise(bench), _resolution(bench), _encoder(bench), _rate(bench), _length(bench), _filter(bench), _bandwidth(bench),
-        _velocity(bench), _offset(bench),
-    ]  # fmt: skip
+    makers = (_noise, _resolution, _encoder, _rate, _length, _filter, _bandwidth, _velocity, _offset)
+    factors = [make(bench, own_setting(bench)) for make in makers]
     return tuple(f for f in factors if f.trials)
 
 
@@ -79,50 +77,38 @@ def _if_complete(bench: Bench, advice: str) -> str:
     return "" if bench.estimate.details.model_complete is False else advice
 
 
-def _noise(bench: Bench) -> SweptFactor:
-    own = own_setting(bench)
+def _noise(bench: Bench, own: Setting) -> SweptFactor:
     formula = isinstance(bench.method, LeastSquares)  # linear in the readings: covariances scale with noise and length
     half = _if_complete(bench, "half the sensor noise")
     trials = tuple(
         Trial(f"× {k:g}", k, None if formula else replace(own, noise=k), (k, 1.0), half if k == 0.5 else "")
         for k in (0.25, 0.5, 2.0, 4.0)
     )
-    return SweptFactor("sensor_noise", "Noise of the readings", _sizes(bench, 1.0), trials)
+    by_unit: dict[str, list[float]] = {}  # standard deviations of one reading
+    for unit, std in zip(bench.problem.row_model.channels.units, bench.noise.std.tolist(), strict=True):
+        by_unit.setdefault(unit, []).append(std)
+    sizes = ", ".join(f"{sum(values) / len(values):.2g} {unit}" for unit, values in by_unit.items())
+    return SweptFactor("sensor_noise", "Noise of the readings", sizes, trials)
 
 
-def _resolution(bench: Bench) -> SweptFactor:
-    own = own_setting(bench)
-    trials = [Trial(f"{k:g} noise std", k, replace(own, step=k)) for k in (1.0, 3.0, 10.0)]
-    return SweptFactor("sensor_resolution", "Resolution of the readings", "as fine as the noise, or finer", tuple(trials))
+def _resolution(_: Bench, own: Setting) -> SweptFactor:
+    trials = tuple(Trial(f"{k:g} noise std", k, replace(own, step=k)) for k in (1.0, 3.0, 10.0))
+    return SweptFactor("sensor_resolution", "Resolution of the readings", "as fine as the noise, or finer", trials)
 
 
-def _sizes(bench: Bench, scale: float) -> str:
-    """Standard deviations of one reading by unit."""
-    units = bench.problem.row_model.channels.units
-    std = scale * bench.noise.std
-    by_unit = {unit: [s for s, u in zip(std, units, strict=True) if u == unit] for unit in dict.fromkeys(units)}
-    return ", ".join(f"{sum(values) / len(values):.2g} {unit}" for unit, values in by_unit.items())
-
-
-def _encoder(bench: Bench) -> SweptFactor:
+def _encoder(bench: Bench, own: Setting) -> SweptFactor:
     if not bench.resolution and not bench.position_std.any():
         return SweptFactor("encoder", "Encoder errors", "none", ())
-    own, count = own_setting(bench), bench.resolution
+    count, trials = bench.resolution, []
+    for k in (0.0, 0.25, 4.0, 16.0):
+        label = f"× {k:g}" + (f" ({count * k:.2g})" if count and k else "")
+        advice = "encoders four times as fine" if k == 0.25 else ""
+        trials.append(Trial(label, k, replace(own, encoder=k), improvement=advice))
     what = f"counts of {count:.2g}" if count else f"random errors of {max(bench.position_std):.2g}"
-    trials = tuple(
-        Trial(
-            f"× {k:g}" + (f" ({count * k:.2g})" if count and k else ""),
-            k,
-            replace(own, encoder=k),
-            improvement="encoders four times as fine" if k == 0.25 else "",
-        )
-        for k in (0.0, 0.25, 4.0, 16.0)
-    )
-    return SweptFactor("encoder", "Encoder errors", what, trials)
+    return SweptFactor("encoder", "Encoder errors", what, tuple(trials))
 
 
-def _rate(bench: Bench) -> SweptFactor:
-    own = own_setting(bench)
+def _rate(bench: Bench, own: Setting) -> SweptFactor:
     rate = min(1.0 / usual_step(m.motion.table.times) for m in bench.motions if m.pieces)
     slowest = max(_SLOWEST_RATE, _RATE_PER_BANDWIDTH * bench.problem.smoother.bandwidth)
     # Of coloured noise nobody knows what it is between the samples.
@@ -136,59 +122,36 @@ def _rate(bench: Bench) -> SweptFactor:
     return SweptFactor("sampling_rate", "Sampling rate", f"{rate:.3g} Hz", trials)
 
 
-def _length(bench: Bench) -> SweptFactor:
-    own = own_setting(bench)
-    whole = sum(m.motion.table.duration for m in bench.motions)
-    shorter = [Trial(f"first {whole * k:.3g} s", k, replace(own, length=k)) for k in (0.25, 0.5)]
-    longer = [
-        Trial(
-            f"repeated {k:g} times",
-            k,
-            None,
-            (1.0, k**-0.5),
-            _if_complete(bench, "the motion twice") if k == 2.0 else "",
-        )
-        for k in (2.0, 4.0)
-    ]
-    return SweptFactor("record_length", "Record length", f"{whole:.3g} s", (*shorter, *longer))
+def _length(bench: Bench, own: Setting) -> SweptFactor:
+    whole, twice = sum(m.motion.table.duration for m in bench.motions), _if_complete(bench, "the motion twice")
+    trials = [Trial(f"first {whole * k:.3g} s", k, replace(own, length=k)) for k in (0.25, 0.5)]
+    for k, advice in ((2.0, twice), (4.0, "")):
+        trials.append(Trial(f"repeated {k:g} times", k, None, (1.0, k**-0.5), advice))
+    return SweptFactor("record_length", "Record length", f"{whole:.3g} s", tuple(trials))
 
 
 def _filter_text(low_pass: LowPass | None) -> str:
     return "no filter" if low_pass is None else f"l = {low_pass.l:g}, d = {low_pass.d:g} rad/s"
 
 
-def _filter(bench: Bench) -> SweptFactor:
-    own, used = own_setting(bench), bench.options.low_pass
-    trials = tuple(
-        Trial(
-            text := _filter_text(tried),
-            None,
-            replace(own, options=replace(own.options, low_pass=tried)),
-            improvement=f"filter: {text}",
-        )
-        for tried in (None, *FILTERS)
-        if tried != used
-    )
-    return SweptFactor("filter", "Low-pass filters", _filter_text(used), trials)
+def _filter(bench: Bench, own: Setting) -> SweptFactor:
+    used, trials = bench.options.low_pass, []
+    for tried in (None, *FILTERS):
+        text, setting = _filter_text(tried), replace(own, options=replace(own.options, low_pass=tried))
+        trials += [Trial(text, None, setting, improvement=f"filter: {text}")] if tried != used else []
+    return SweptFactor("filter", "Low-pass filters", _filter_text(used), tuple(trials))
 
 
-def _bandwidth(bench: Bench) -> SweptFactor:
-    own, found = own_setting(bench), bench.problem.smoother.bandwidth
+def _bandwidth(bench: Bench, own: Setting) -> SweptFactor:
+    found, trials = bench.problem.smoother.bandwidth, []
+    for k in (0.5, 0.71, 1.4, 2.0):
+        text, setting = f"{found * k:.3g} Hz", replace(own, options=replace(own.options, bandwidth=found * k))
+        trials.append(Trial(text, k, setting, improvement=f"bandwidth {text}"))
     how = "" if bench.options.bandwidth is not None else " (automatic)"
-    trials = tuple(
-        Trial(
-            f"{found * k:.3g} Hz",
-            k,
-            replace(own, options=replace(own.options, bandwidth=found * k)),
-            improvement=f"bandwidth {found * k:.3g} Hz",
-        )
-        for k in (0.5, 0.71, 1.4, 2.0)
-    )
-    return SweptFactor("bandwidth", "Bandwidth of the smoothed motion", f"{found:.3g} Hz{how}", trials)
+    return SweptFactor("bandwidth", "Bandwidth of the smoothed motion", f"{found:.3g} Hz{how}", tuple(trials))
 
 
-def _velocity(bench: Bench) -> SweptFactor:
-    own = own_setting(bench)
+def _velocity(bench: Bench, own: Setting) -> SweptFactor:
     used = bench.options.low_pass or FILTERS[0]
     filtered = replace(own, options=replace(own.options, low_pass=used))
     text = _filter_text(used)
@@ -198,11 +161,10 @@ def _velocity(bench: Bench) -> SweptFactor:
     return SweptFactor("velocity", "Derivation of velocities", used_words, tuple(trials))
 
 
-def _offset(bench: Bench) -> SweptFactor:
+def _offset(bench: Bench, own: Setting) -> SweptFactor:
     title = "Sensor offset and static run"
     if bench.problem.channel != "wrench":
         return SweptFactor("offset", title, "", ())
-    own = own_setting(bench)
     treated = {"motion": "subtracted", "joint": "joint", "none": "fitted"}[bench.problem.static]
     trials = tuple(
         Trial(words, None, replace(own, offset=key), improvement="" if key == "ignored" else words)
@@ -409,11 +371,11 @@ def _level(trial: Trial, errors: Errors, own: Errors) -> Level:
     """A level from simulated errors."""
     n = errors.runs
     lost = ~np.isfinite(errors.base).all(axis=0) & np.isfinite(own.base).all(axis=0)
-    ratios = [_ratio(errors, own)]
+    ratios = [median_ratio(errors.rms, own.rms)]
     rng = np.random.default_rng(0)
     for _ in range(_RESAMPLES if errors is not own else 0):
         rows = rng.integers(n, size=n)
-        ratios.append(_ratio(errors.part(rows), own.part(rows)))
+        ratios.append(median_ratio(errors.part(rows).rms, own.part(rows).rms))
     low, high = np.quantile(ratios, [0.025, 0.975])
     spread = float(np.std(errors.prediction**2, ddof=1) / np.sqrt(n) / (2.0 * max(errors.predicted, 1e-300)))
     over = errors.predicted / max(own.predicted, 1e-300)
@@ -424,36 +386,28 @@ def _level(trial: Trial, errors: Errors, own: Errors) -> Level:
     )  # fmt: skip
 
 
-def _ratio(errors: Errors, own: Errors) -> float:
-    """Median ratio of root mean square errors over the base parameters that both determine."""
-    return median_ratio(errors.rms, own.rms)
-
-
 def _by_formula(trial: Trial, own: Level, linear: LinearErrors | None) -> Level:
     """A level whose covariance follows from that of the user's own setting."""
-    zero = np.zeros(len(own.std))
-    if linear is None:
-        # Repeats alone: the mean of independent errors, whatever the estimator.
-        std = trial.scale[1] * own.std
-        rms = np.hypot(std, own.bias)
-        ratio = median_ratio(rms, own.rms)
-        share = trial.scale[1] * own.prediction
-        return Level(trial.label, trial.value, "formula", own.bias, std, rms, own.bias_error, trial.scale[1] * own.std_error,
-                     share, trial.scale[1] * own.prediction_error, trial.scale[1], ratio, ratio, ratio, 0,
-                     trial.improvement)  # fmt: skip
-    rms = linear.rms(*trial.scale)
-    ratio = median_ratio(rms, linear.rms(1.0, 1.0))
-    share = linear.predicted(*trial.scale)
+    noise, all_of_it = trial.scale
+    if linear is None:  # repeats alone: the mean of independent errors, whatever the estimator
+        bias, bias_error, std, std_error = own.bias, own.bias_error, all_of_it * own.std, all_of_it * own.std_error
+        share, share_error, over = all_of_it * own.prediction, all_of_it * own.prediction_error, all_of_it
+        rms, usual = np.hypot(std, bias), own.rms
+    else:
+        bias, std, bias_error = linear.bias[: len(own.std)], linear.std(noise, all_of_it), np.zeros(len(own.std))
+        std_error, share, share_error = bias_error, linear.predicted(noise, all_of_it), 0.0
+        over = share / max(linear.predicted(1.0, 1.0), 1e-300)
+        rms, usual = linear.rms(noise, all_of_it), linear.rms(1.0, 1.0)
+    ratio = median_ratio(rms, usual)
     return Level(
-        trial.label, trial.value, "formula", linear.bias[: len(zero)], linear.std(*trial.scale), rms, zero, zero,
-        share, 0.0, share / max(linear.predicted(1.0, 1.0), 1e-300), ratio, ratio, ratio, 0, trial.improvement,
+        trial.label, trial.value, "formula", bias, std, rms, bias_error, std_error, share, share_error, over, ratio, ratio, ratio,
+        0, trial.improvement,
     )  # fmt: skip
 
 
 def _refused(trial: Trial, own: Level, reason: str) -> Level:
-    nothing = np.full(len(own.std), np.nan)
-    nan = float("nan")
+    nothing, nan = np.full(len(own.std), np.nan), float("nan")
     return Level(
         trial.label, trial.value, "refused", nothing, nothing, nothing, nothing, nothing, nan, nan, nan, nan, nan, nan,
-        len(nothing), "", reason,
+        len(nothing), reason=reason,
     )  # fmt: skip

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from bayesid.design.bounds.model import ReadingModel, spread
-from bayesid.design.bounds.remainder import HALF, Remainder
-from bayesid.design.bounds.simultaneous import left_out, quantile
-from bayesid.estimators.estimator import LEVEL
+from bayesid.design.bounds.region import left_out, quantile
+from bayesid.design.bounds.remainder import Remainder
+from bayesid.rounding import HALF, LEVEL
 
 #: Standard deviations over those of the fitted motions above this bring a warning.
 FAR = 2.0

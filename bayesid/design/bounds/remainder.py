@@ -19,13 +19,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
 from bayesid.design.bounds.model import ReadingModel, spread
 from bayesid.dynamics.channels import WRENCH_NAMES
-from bayesid.estimators.estimator import LEVEL
 from bayesid.recordings.experiment import Motion
 from bayesid.regression.problem import Problem
+from bayesid.rounding import HALF, LEVEL
 from bayesid.validation.noise_floor import NoiseFloor
 from bayesid.validation.prediction import BAND, TOLERATED, in_band
 
@@ -33,8 +32,6 @@ from bayesid.validation.prediction import BAND, TOLERATED, in_band
 SHARE = 0.99
 #: Classes of speed, as many samples in each.
 _CLASSES = 5
-#: Half a central interval of probability `LEVEL` of a normal law, in standard deviations.
-HALF = float(norm.ppf(0.5 + LEVEL / 2))
 
 
 @dataclass(frozen=True, eq=False)

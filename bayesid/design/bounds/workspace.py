@@ -23,7 +23,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from bayesid.design.bounds.model import ReadingModel
-from bayesid.design.bounds.simultaneous import quantile
+from bayesid.design.bounds.region import quantile
 from bayesid.estimators.estimator import LEVEL
 from bayesid.robot.robot import Robot, motion_limits
 

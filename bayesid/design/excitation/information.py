@@ -64,14 +64,6 @@ _LEAST_MASS, _LEAST_LENGTH = 0.01, 0.05
 _STEP = 1e-5
 
 
-def _d(values: np.ndarray) -> tuple[float, np.ndarray]:
-    return -float(np.mean(np.log(values))), -1.0 / (values * len(values))
-
-
-def _a(values: np.ndarray) -> tuple[float, np.ndarray]:
-    return _power(values, -1.0)
-
-
 def _power(values: np.ndarray, p: float) -> tuple[float, np.ndarray]:
     """``log(mean l^p) / |p|``, scaled so that powers neither overflow nor vanish."""
     top = values.max() if p > 0 else values.min()
@@ -80,18 +72,18 @@ def _power(values: np.ndarray, p: float) -> tuple[float, np.ndarray]:
     return float(value), np.sign(p) * ratio / values / ratio.sum()
 
 
-def _e(values: np.ndarray) -> tuple[float, np.ndarray]:
-    return _power(values, -_POWER)
-
-
 def _condition(values: np.ndarray) -> tuple[float, np.ndarray]:
     (high, up), (low, down) = _power(values, _POWER), _power(values, -_POWER)
     return 0.5 * (high + low), 0.5 * (up + down)
 
 
+#: Value and slopes, by eigenvalues.
 _OF_EIGENVALUES: dict[str, Callable[[np.ndarray], tuple[float, np.ndarray]]] = {
-    "d": _d, "a": _a, "e": _e, "condition": _condition,
-}  # fmt: skip
+    "d": lambda values: (-float(np.mean(np.log(values))), -1.0 / (values * len(values))),
+    "a": lambda values: _power(values, -1.0),
+    "e": lambda values: _power(values, -_POWER),
+    "condition": _condition,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,10 +186,6 @@ class Information:
         x = self.kernel.dynamics(*motion, gravity=self.sensor_set.gravity) / self.std[None, :, None]
         others = self._effect_columns(motion, step)
         return np.concatenate([x, others], axis=2).reshape(samples * len(self.std), -1)
-
-    def deviations(self, matrix: np.ndarray) -> np.ndarray:
-        """Expected standard deviations of the base parameters (r,), with a scaled information matrix A."""
-        return np.sqrt(np.diag(self.covariance(matrix)))
 
     def covariance(self, matrix: np.ndarray) -> np.ndarray:
         """Expected covariance of the base parameters (r, r), with a scaled information matrix A."""

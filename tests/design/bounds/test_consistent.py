@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesid.design.bounds.consistent import consistent_draws
+from bayesid.design.bounds.knowledge import consistent_draws
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.dynamics.channels import torque_channels
 from bayesid.robot import inertia

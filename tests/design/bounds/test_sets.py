@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm
 
-from bayesid.design.bounds.region import region_of_draws, region_of_normal
-from bayesid.design.bounds.simultaneous import largest_deviation, left_out, mahalanobis, quantile, root_of
+from bayesid.design.bounds.region import (
+    largest_deviation,
+    left_out,
+    mahalanobis,
+    quantile,
+    region_of_draws,
+    region_of_normal,
+    root_of,
+)
 
 
 def law(k, seed):
