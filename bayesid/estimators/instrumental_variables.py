@@ -24,7 +24,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -40,7 +39,7 @@ from bayesid.estimators.errors_in_variables import (
 from bayesid.estimators.estimator import Details, Estimate, strongest
 from bayesid.estimators.least_squares import completeness, make_estimate
 from bayesid.regression.blocks import Pair
-from bayesid.regression.hypothesis_tests import hausman
+from bayesid.regression.hypothesis_tests import ChiSquared, hausman
 from bayesid.regression.linalg import at_least, standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
@@ -143,7 +142,7 @@ class InstrumentalVariables:
             **described,
             first_stage=statistic,
             weak_instruments=bool(statistic < WEAKEST),
-            durbin_wu_hausman=ShiftTest(**test, shift_from_least_squares=shift, verdict=_verdict(test["p"], shift)),
+            durbin_wu_hausman=ShiftTest(test.statistic, test.degrees, test.probability, shift, _verdict(test.probability, shift)),
             warnings=tuple(warnings),
         )
         return replace(estimate, details=details)
@@ -216,14 +215,13 @@ def _pinv(matrix: np.ndarray) -> np.ndarray:
     return np.linalg.pinv(matrix, rcond=1e-10)
 
 
-def _hausman(sums: _InstrumentSums, spreads: np.ndarray, ordinary: np.ndarray) -> dict[str, Any]:
+def _hausman(sums: _InstrumentSums, spreads: np.ndarray, ordinary: np.ndarray) -> ChiSquared:
     """Durbin-Wu-Hausman test of the pairs in one order: of both, first-order differences would cancel."""
     with_instruments, plain = _pinv(sums.z_x), _pinv(sums.x_x)
     difference = with_instruments @ sums.z_r - plain @ sums.x_r
     q = np.vstack([-plain.T, with_instruments.T])
     # Directions that the encoders do not touch (an offset's) have no difference to test.
-    test = hausman(difference, q.T @ spreads @ q, smallest=1e-10 * np.linalg.eigvalsh(ordinary)[-1])
-    return {"statistic": test.statistic, "dof": test.degrees, "p": test.probability}
+    return hausman(difference, q.T @ spreads @ q, smallest=1e-10 * np.linalg.eigvalsh(ordinary)[-1])
 
 
 def _verdict(p: float, shift: float) -> str:

@@ -145,8 +145,9 @@ def error_of(bench: Bench, problem: Problem, estimate: Estimate) -> np.ndarray:
     """
     own, row_model = bench.problem, problem.row_model
     full = true_solution(bench, problem)
-    error = np.where(estimate.undetermined, np.nan, estimate.solution - full[_columns(problem)])
     rank = row_model.base.rank
+    estimated = np.concatenate([np.ones(rank, bool), row_model.free])
+    error = np.where(estimate.undetermined, np.nan, estimate.solution - full[estimated])
     found = np.full(len(bench.truth), np.nan)
     found[: bench.rank] = [_combined(row, error[:rank]) for row in combinations(own.row_model.base, row_model.base)]
     # What is held at a value is wrong by how far that is from the truth; what the fit has not, its static run took away.
@@ -165,11 +166,6 @@ def prediction_error(bench: Bench, error: np.ndarray) -> float:
     """
     error = np.where(bench.estimate.undetermined, 0.0, error)
     return float(np.sqrt(max(error @ bench.prediction_gram @ error, 0.0)))
-
-
-def _columns(problem: Problem) -> np.ndarray:
-    """Which of base and effect parameters are estimated."""
-    return np.concatenate([np.ones(problem.row_model.base.rank, bool), problem.row_model.free])
 
 
 def _combined(row: np.ndarray, error: np.ndarray) -> float:
