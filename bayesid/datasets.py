@@ -6,7 +6,6 @@ Nothing of them comes with this package: files are fetched from where their auth
 from __future__ import annotations
 
 import hashlib
-import importlib
 import os
 import shutil
 from collections.abc import Callable, Mapping
@@ -18,7 +17,7 @@ from urllib.error import HTTPError
 from urllib.request import urlopen
 
 from bayesid.arguments import argument
-from bayesid.errors import InputError
+from bayesid.errors import InputError, required
 from bayesid.recordings.complaints import suggest
 from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.recordings.writer import write_experiment
@@ -304,11 +303,12 @@ def fetch(name: str, cache: str | Path | None = None) -> Path:
             f"{name}: is not fetched; make an experiment folder of what is at {dataset.page}, and put it into "
             f"{dataset.folder} below the folder that {OWN_COPIES} names"
         )
-    pooch = _pooch(dataset)
+    by_hand = f"or put the experiment folder into {dataset.folder} below the folder that {OWN_COPIES} names"
+    pooch = required("pooch", InputError(f'{name}: fetching it needs pooch; pip install "bayesid[datasets]", {by_hand}'))
     cache = Path(pooch.os_cache("bayesid") if cache is None else cache)
     made = cache / "experiments" / f"{name}-{_digest(dataset)}"
     if not (made / "experiment.toml").is_file():
-        files = {file.name: _fetched(pooch, file, cache / "files", dataset) for file in dataset.files}
+        files = {file.name: _fetched(pooch, file, cache / "files", dataset, by_hand) for file in dataset.files}
         write_experiment(dataset.make(files), made)
     return made
 
@@ -318,17 +318,7 @@ def load(name: str, cache: str | Path | None = None) -> Experiment:
     return load_experiment(fetch(name, cache))
 
 
-def _pooch(dataset: Dataset) -> Any:
-    try:
-        return importlib.import_module("pooch")
-    except ImportError:
-        raise InputError(
-            f'{dataset.name}: fetching it needs pooch; pip install "bayesid[datasets]", or put the experiment folder into '
-            f"{dataset.folder} below the folder that {OWN_COPIES} names"
-        ) from None
-
-
-def _fetched(pooch: Any, file: RemoteFile, folder: Path, dataset: Dataset) -> Path:
+def _fetched(pooch: Any, file: RemoteFile, folder: Path, dataset: Dataset, by_hand: str) -> Path:
     """A file as it was published; files are kept by their checksum."""
     pooch.get_logger().setLevel("WARNING")
     try:
@@ -342,10 +332,7 @@ def _fetched(pooch: Any, file: RemoteFile, folder: Path, dataset: Dataset) -> Pa
         ) from None
     except OSError as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InputError(
-            f"{dataset.name}: {file.url} cannot be fetched ({reason}); connect to the network, or put the experiment folder into "
-            f"{dataset.folder} below the folder that {OWN_COPIES} names"
-        ) from None
+        raise InputError(f"{dataset.name}: {file.url} cannot be fetched ({reason}); connect to the network, {by_hand}") from None
 
 
 def _download(url: str, output: str, _pooch: Any) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+from typing import Any
+
 
 class BayesidError(Exception):
     """Root of every exception that bayesid raises on purpose."""
@@ -26,6 +29,14 @@ class InputError(BayesidError):
         place = "".join(f"{part}: " for part in (file, key) if part)
         super().__init__(place + problem + (f"; {remedy}" if remedy else ""))
         self.file, self.key, self.value, self.remedy = file, key, value, remedy
+
+
+def required(module: str, missing: InputError) -> Any:
+    """Import a module of an optional package, or raise what is to be said where it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise missing from None
 
 
 class EstimationError(BayesidError):

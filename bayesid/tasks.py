@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
 from bayesid.arguments import argument
-from bayesid.errors import EstimationError, InputError
+from bayesid.errors import EstimationError, InputError, required
 
 _A = TypeVar("_A")
 _B = TypeVar("_B")
@@ -131,10 +131,8 @@ def _settings() -> contextlib.AbstractContextManager:
 
 
 def _distributed() -> Any:
-    try:
-        return importlib.import_module("distributed")
-    except ImportError:
-        raise InputError(f'{argument("workers")} and {argument("scheduler")} need Dask; pip install "bayesid[dask]"') from None
+    options = f"{argument('workers')} and {argument('scheduler')}"
+    return required("distributed", InputError(f'{options} need Dask; pip install "bayesid[dask]"'))
 
 
 def map_tasks(

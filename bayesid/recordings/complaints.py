@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from pydantic_core import ErrorDetails
 
@@ -19,23 +20,33 @@ class Finding:
     silences: tuple[str, ...] = ()
 
 
-_LISTED = 12  # known words that a suggestion lists
-
-
 def suggest(word: str, known: Iterable[str], are: str = "known") -> str:
     """Return ``did you mean "x"?`` for the nearest known word, or the list of them when none is near."""
     known = [str(k) for k in known]
     near = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
     if near:
         return f'did you mean "{cut(near[0])}"?'
-    more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
-    return f"{are}: {', '.join(cut(k) for k in known[:_LISTED])}{more}"
+    return f"{are}: {listed(map(cut, known))}"
 
 
 def listed(names: Iterable[str], shown: int = 12) -> str:
     """Return the first of some names, and how many more there are."""
     every = list(names)
     return ", ".join(every[:shown]) + (f" and {len(every) - shown} more" if len(every) > shown else "")
+
+
+def columns_of(names: Sequence[str], shown: int = 12) -> str:
+    """Return ``column q1``, or ``columns q1, q2``, of which there is one at least."""
+    return f"column{'s' * (len(names) > 1)} {listed(names, shown)}"
+
+
+def is_number(cell: Any) -> bool:
+    """Return whether a cell of a table can be read as a number."""
+    try:
+        float(cell)
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def describe(error: ErrorDetails, keys: Mapping[tuple[str, ...], Iterable[str]], others: Iterable[str]) -> str:

@@ -12,18 +12,25 @@ from dataclasses import replace
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.recordings import motion_checks
 from bayesid.recordings.complaints import Finding, listed
 from bayesid.recordings.motion import Motion
-from bayesid.recordings.motion_checks import MATCH, MIN_SAMPLES, held_columns, held_findings
+from bayesid.recordings.motion_checks import (
+    MATCH,
+    MIN_SAMPLES,
+    check_trajectory,
+    held_columns,
+    held_findings,
+    joint_columns,
+)
 from bayesid.recordings.table import GAP, Table
 from bayesid.robot.robot import Robot
 
-FAR_OUTSIDE = 4.0 * np.pi  # beyond a limit by this much [rad or m]: another unit
-LARGE_ANGLE = 20.0  # no joint with limits turns this far [rad]
+_FAR_OUTSIDE = 4.0 * np.pi  # beyond a limit by this much [rad or m]: another unit
+_LARGE_ANGLE = 20.0  # no joint with limits turns this far [rad]
 _KINKS = 2  # so many turns at zero make a magnitude
 _REACH = 6  # samples on either side of a turn
-LIMIT_SLACK = 0.1  # [rad or m]
+_LIMIT_SLACK = 0.1  # [rad or m]
+_READINGS = {"wrench": "fx ... mz", "torques": "tau1 ..."}
 
 
 def check_positions(table: Table, robot: Robot) -> list[str]:
@@ -35,8 +42,8 @@ def check_positions(table: Table, robot: Robot) -> list[str]:
         worst = int(np.argmax(excess))
         limited = bool(np.isfinite([lower, upper]).any())
         slides = bool(robot.prismatic[j])
-        far = excess[worst] > FAR_OUTSIDE
-        if limited and not slides and np.abs(q).max() > LARGE_ANGLE:
+        far = excess[worst] > _FAR_OUTSIDE
+        if limited and not slides and np.abs(q).max() > _LARGE_ANGLE:
             far, worst = True, int(np.argmax(np.abs(q)))
         place = f"{table.source}: column q{j + 1}: {robot.joint_names[j]} is at {q[worst]:.6g} at {table.times[worst]:.6g} s"
         allowed = f"{robot.urdf.name} allows {lower:.6g} to {upper:.6g} {'m' if slides else 'rad'}"
@@ -44,7 +51,7 @@ def check_positions(table: Table, robot: Robot) -> list[str]:
             unit = "millimetres? write metres" if slides else "degrees? write radians"
             motor = "; if it is the motor's position, divide by the gear ratio"
             raise InputError(f"{place}, {allowed}; is it in {unit}, or correct the limits{motor}")
-        if excess[worst] > LIMIT_SLACK:
+        if excess[worst] > _LIMIT_SLACK:
             warnings.append(f"{place}, {allowed}; check the unit (rad or m), the joint order and the limits")
     return warnings
 
@@ -54,9 +61,10 @@ def check_channels(table: Table) -> list[str]:
 
     An `InputError` where all six wrench channels, or all torques, are zero throughout, or torques have lost their signs.
     """
-    for array, names in ((table.wrench, "fx ... mz"), (table.torques, "tau1 ...")):
+    for name, columns in _READINGS.items():
+        array = getattr(table, name)
         if array is not None and not np.nan_to_num(array).any():
-            raise InputError(f"{table.source}: columns {names}: 0 in every row; record them, or leave them out")
+            raise InputError(f"{table.source}: columns {columns}: 0 in every row; record them, or leave them out")
     unsigned = _without_sign(table)
     if unsigned:
         raise InputError(
@@ -94,20 +102,19 @@ def _without_sign(table: Table) -> list[str]:
     return found
 
 
-def check_static(table: Table, static: Table, resolution: float | None) -> list[str]:
+def check_static(table: Table, static: Table, resolution: float | None) -> None:
     """Check a static table against its motion.
 
     An `InputError` where it lacks a channel of the motion, has as many rows but other positions, or the motion's own readings.
     """
-    for name in ("wrench", "torques"):
+    for name, columns in _READINGS.items():
         if getattr(table, name) is not None and getattr(static, name) is None:
-            columns = "fx ... mz" if name == "wrench" else "tau1 ..."
             raise InputError(
                 f"{static.source}: columns {columns} are missing although {table.source} has them; "
                 "a static table needs the same columns"
             )
     if len(static) != len(table):
-        return []
+        return
     allowed = max(MATCH, 10.0 * (resolution or 0.0))
     difference = np.abs(static.positions - table.positions)
     row, j = (int(k) for k in np.unravel_index(np.argmax(difference), difference.shape))
@@ -119,14 +126,13 @@ def check_static(table: Table, static: Table, resolution: float | None) -> list[
             f"{allowed:g}); with as many rows as the motion it must hold the same positions row by row: "
             "record it again, or give static poses with another number of rows"
         )
-    for name in ("wrench", "torques"):
+    for name in _READINGS:
         moving, still = getattr(table, name), getattr(static, name)
         if moving is not None and np.array_equal(moving, still):
             raise InputError(
                 f"holds the same {name} as {table.source}, in which the robot moves", file=static.source,
                 remedy="give readings of the robot at rest, or remove [[motion]] static",
             )  # fmt: skip
-    return []
 
 
 def check_intervals(
@@ -169,11 +175,10 @@ def check_intervals(
     return warnings
 
 
-TURN = 2.0 * np.pi
+_TURN = 2.0 * np.pi
 #: A step from one sample to the next that is a whole number of turns up to this is a wrap, for no joint goes that far in one, and
 #: angles beyond a limit by less than this are near it [rad].
 _SLACK = 0.5
-_LIMIT_SLACK = 0.1  # as the limits are checked [rad]
 
 
 def unwrapped(table: Table, robot: Robot, kind: str) -> tuple[Table, str | None]:
@@ -189,20 +194,19 @@ def unwrapped(table: Table, robot: Robot, kind: str) -> tuple[Table, str | None]
             jumps = _wraps(table.times, q, table.step)
             if jumps.any():
                 wrapped[j] = float(table.times[np.argmax(jumps != 0.0)])
-                q = q - TURN * np.append(0.0, np.cumsum(jumps))
+                q = q - _TURN * np.append(0.0, np.cumsum(jumps))
         whole = _turns_off(q, float(robot.lower[j]), float(robot.upper[j]), kind == "trajectory")
         if np.any(whole):
             shifted.append(j)
-        positions[:, j] = q - TURN * whole
+        positions[:, j] = q - _TURN * whole
     if not wrapped and not shifted:
         return table, None
     commanded = table.commanded
     if commanded is not None:
-        turns = np.round((positions - commanded) / TURN) * ~robot.prismatic
-        commanded = commanded + TURN * turns
+        turns = np.round((positions - commanded) / _TURN) * ~robot.prismatic
+        commanded = commanded + _TURN * turns
     joints = sorted({*wrapped, *shifted})
-    columns, names = listed([f"q{j + 1}" for j in joints]), listed([robot.joint_names[j] for j in joints])
-    place = f"{table.source}: column{'s' * (len(joints) > 1)} {columns}: {names}"
+    place = f"{table.source}: {joint_columns(robot, joints)}"
     if wrapped:
         first = min(wrapped.values())
         notes = f"{place}: angles wrap at a full turn, the first at {first:.6g} s; unwrapped"
@@ -215,9 +219,9 @@ def unwrapped(table: Table, robot: Robot, kind: str) -> tuple[Table, str | None]
 def _wraps(times: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
     """Turns in each step of an angle (N - 1,); zeros where it nowhere wraps within a sample."""
     steps = np.diff(q)
-    turns = np.round(steps / TURN)
+    turns = np.round(steps / _TURN)
     gap = np.diff(times) > GAP * step
-    within = (turns != 0.0) & (np.abs(steps - TURN * turns) < _SLACK) & ~gap
+    within = (turns != 0.0) & (np.abs(steps - _TURN * turns) < _SLACK) & ~gap
     if not within.any():
         return np.zeros(len(steps))
     return np.where(within | gap, turns, 0.0)
@@ -230,7 +234,7 @@ def _turns_off(q: np.ndarray, lower: float, upper: float, together: bool) -> np.
     low, high = (q.min(), q.max()) if together else (q, q)
 
     def excess(turns: float | np.ndarray) -> np.ndarray:
-        return np.maximum(high - TURN * turns - upper, lower - low + TURN * turns)
+        return np.maximum(high - _TURN * turns - upper, lower - low + _TURN * turns)
 
     whole = np.where(high > upper, 1.0, -1.0)
     return np.where((excess(0.0) > _LIMIT_SLACK) & (excess(whole) < _SLACK), whole, 0.0)
@@ -267,9 +271,9 @@ def examine(motion: Motion, robot: Robot, resolution: float | None, place: str) 
     if motion.kind == "trajectory":
         held = held_columns(table)
         findings += held_findings(table, held)
-        doubts += motion_checks.check_trajectory(table, robot, resolution, [h.column for h in held])
+        doubts += check_trajectory(table, robot, resolution, held)
     doubts += check_intervals(table, place, motion.period, motion.parked, resolution)
     if static is not None:
-        doubts += check_static(table, static, resolution)
+        check_static(table, static, resolution)
         doubts += check_positions(static, robot) + check_channels(static)
     return replace(motion, table=table, static=static, examined=True), findings, doubts

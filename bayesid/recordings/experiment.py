@@ -15,7 +15,7 @@ from bayesid.arguments import call
 from bayesid.drawing import Plots
 from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import Finding, listed, suggest
+from bayesid.recordings.complaints import Finding, columns_of, listed, suggest
 from bayesid.recordings.examination import examine
 from bayesid.recordings.importing.column_map import ColumnMap, column_map
 from bayesid.recordings.importing.recording import read_stated
@@ -173,10 +173,10 @@ class Experiment(Plots):
         without = [j for j in range(self.robot.n) if j not in known]
         if not without:
             return []
-        columns, names = listed([f"tau{j + 1}" for j in without]), listed([self.robot.joint_names[j] for j in without])
+        columns, names = columns_of([f"tau{j + 1}" for j in without]), listed([self.robot.joint_names[j] for j in without])
         return [
             Finding(
-                f"column{'s' * (len(without) > 1)} {columns}: no torques of {names} in every recording; those of other joints "
+                f"{columns}: no torques of {names} in every recording; those of other joints "
                 "are used, which say nothing of friction and rotors there and less of the links; record them, to know more"
             )
         ]

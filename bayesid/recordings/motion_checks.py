@@ -5,13 +5,13 @@ Every check returns its warnings, one line each, that say which file, column and
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import Finding, listed
+from bayesid.recordings.complaints import Finding, columns_of, listed
 from bayesid.recordings.table import GAP, Table, holes_left
 from bayesid.robot.robot import Robot
 
@@ -27,27 +27,19 @@ _DUE = 0.25  # of the time between changes; at least a row
 REPORTED = 0.1
 
 
-@dataclass(frozen=True)
-class HeldColumn:
-    """A column that is new in some rows only."""
-
-    column: str  # its name
-    rows: float  # from one new sample to the next, on average
+def held_columns(table: Table) -> dict[str, float]:
+    """Columns of which samples are held for several rows each, how many, while they change by far more than a count."""
+    return {name: rows for name, values in _columns(table) if (rows := rows_held(values[:_JUDGED])) is not None}
 
 
-def held_columns(table: Table) -> list[HeldColumn]:
-    """Columns of which samples are held for several rows each while they change by far more than a count."""
-    return [HeldColumn(name, rows) for name, values in _columns(table) if (rows := rows_held(values[:_JUDGED])) is not None]
-
-
-def held_findings(table: Table, held: list[HeldColumn]) -> list[Finding]:
-    """What is said of held columns: a line for those that are held alike."""
+def held_findings(table: Table, held: Mapping[str, float]) -> list[Finding]:
+    """What is said of `held_columns`: a line for those that are held alike."""
     out, rate = [], 1.0 / table.step
-    left = list(held)
+    left = dict(held)
     while left:
-        alike = [h for h in left if abs(h.rows - left[0].rows) < 0.1 * left[0].rows]
-        left = [h for h in left if h not in alike]
-        names, rows = [h.column for h in alike], float(np.median([h.rows for h in alike]))
+        first = next(iter(left.values()))
+        names = [name for name, rows in left.items() if abs(rows - first) < 0.1 * first]
+        rows = float(np.median([left.pop(name) for name in names]))
         kinds = {name.rstrip("0123456789") for name in names}
         channels = {"torque": "tau" in kinds, "wrench": bool(kinds & {"fx", "fy", "fz", "mx", "my", "mz"})}
         silences = ("wrench", "torque") if "q" in kinds else tuple(channel for channel, is_held in channels.items() if is_held)
@@ -59,7 +51,7 @@ def held_findings(table: Table, held: list[HeldColumn]) -> list[Finding]:
         if len(names) == 1:
             remedy = remedy.replace("them", "it").replace("they change", "it changes")
         text = (
-            f"{table.source}: column{'s' * (len(names) > 1)} {listed(names, 30)}: new only every {rows:.3g} rows "
+            f"{table.source}: {columns_of(names, 30)}: new only every {rows:.3g} rows "
             f"({rate / rows:.3g} Hz in a log of {rate:.4g} Hz), held in between as samples of a slower topic are, and so "
             f"{500.0 * rows / rate:.2g} ms late on average; {remedy}"
         )
@@ -184,25 +176,21 @@ def _steps(table: Table) -> list[str]:
         return uneven
     usual = f"a step is usually {table.step:.4g} s"
     if not len(gaps):
-        return [
-            *uneven,
-            f"{start}{len(lost)} steps lack a sample, the first at {table.times[lost[0]]:.6g} s ({usual}); check the logger",
-        ]
+        first = f"the first at {table.times[lost[0]]:.6g} s ({usual})"
+        return [*uneven, f"{start}{len(lost)} steps lack a sample, {first}; check the logger"]
     holes = ", ".join(f"{table.times[k]:.6g} to {table.times[k + 1]:.6g} s" for k in gaps[:3])
     more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
     short = f", and {len(lost) - len(gaps)} steps lack a sample" if len(lost) > len(gaps) else ""
-    return [
-        *uneven,
-        f"{start}gap at {holes}{more}{short} ({usual}); the pieces between gaps are treated apart, check the logger",
-    ]
+    gap = f"{start}gap at {holes}{more}{short} ({usual}); the pieces between gaps are treated apart, check the logger"
+    return [*uneven, gap]
 
 
-def _travel(table: Table, j: int) -> tuple[np.ndarray, np.ndarray]:
+def _travel(table: Table, velocities: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the distances over about 0.1 s, by the positions and by the velocities.
 
     Integrating velocities, rather than differentiating positions, keeps encoder counts out of the comparison.
     """
-    t, v = table.times, np.zeros(len(table)) if table.velocities is None else table.velocities[:, j]
+    t, v = table.times, velocities[:, j]
     width = int(np.clip(np.ceil(0.1 / table.step), 5, max(2, len(t) // 8)))
     edges = np.arange(0, len(t), width)
     steps = np.diff(t)
@@ -216,7 +204,7 @@ def _velocity(table: Table, robot: Robot, j: int) -> list[str]:
     """Compare a velocity column with the positions: how many times too fast it is."""
     if table.velocities is None:
         return []
-    by_position, by_velocity = _travel(table, j)
+    by_position, by_velocity = _travel(table, table.velocities, j)
     weights = np.abs(by_position)
     place = f"{table.source}: column v{j + 1}"
     if not len(weights) or weights.max() < 2e-3:
@@ -288,11 +276,7 @@ def _moving(table: Table, share: float) -> np.ndarray:
 def _stalled(table: Table) -> np.ndarray:
     """Return (N,): whether the row repeats the one before in every column but the time."""
     same = np.arange(len(table)) > 0
-    for array in (table.positions, table.velocities):
-        if array is not None:
-            for column in array.T:
-                same[1:] &= np.diff(column) == 0.0
-    for _, column in table.channels():
+    for _, column in _columns(table):
         same[1:] &= np.diff(column) == 0.0
     return same
 
@@ -328,27 +312,27 @@ def _encoders(table: Table, robot: Robot, stalled: np.ndarray, resolution: float
     frozen = {j: where for j, where in frozen.items() if j not in stops}
     warnings = []
     if held:
-        named = listed([f"q{j + 1}" for j in held]), listed([robot.joint_names[j] for j in held])
         verb, them = ("never moves; lock it", "it") if len(held) == 1 else ("never move; lock them", "them")
-        columns = "column" if len(held) == 1 else "columns"
-        warnings.append(
-            f"{table.source}: {columns} {named[0]}: {named[1]} {verb} ([robot] locked) or expect nothing about {them}"
-        )
+        place = f"{table.source}: {joint_columns(robot, held)}"
+        warnings.append(f"{place} {verb} ([robot] locked) or expect nothing about {them}")
     for j, end in stops.items():
-        place = f"{table.source}: column q{j + 1}: {robot.joint_names[j]}"
-        warnings.append(f"{place} {end}; leave those times out")
+        warnings.append(f"{table.source}: {joint_columns(robot, [j])} {end}; leave those times out")
     if len(frozen) > _FEW:
-        columns, names = listed([f"q{j + 1}" for j in frozen]), listed([robot.joint_names[j] for j in frozen])
-        first = next(iter(frozen))
+        first, place = next(iter(frozen)), f"{table.source}: {joint_columns(robot, list(frozen))}"
         warnings.append(
-            f"{table.source}: columns {columns}: {names} stand still for a time while they seem to move, q{first + 1} at "
+            f"{place} stand still for a time while they seem to move, q{first + 1} at "
             f"{_when(table, first, frozen[first])}; were they held, or are encoders frozen?"
         )
-    elif frozen:
+    else:
         for j, rows in frozen.items():
-            place = f"{table.source}: column q{j + 1}: {robot.joint_names[j]}"
+            place = f"{table.source}: {joint_columns(robot, [j])}"
             warnings.append(f"{place} stands at {_when(table, j, rows)} as if frozen; check that encoder")
     return warnings
+
+
+def joint_columns(robot: Robot, joints: Sequence[int]) -> str:
+    """Columns of positions and the joints that they are of: ``columns q1, q2: shoulder, elbow``."""
+    return f"{columns_of([f'q{j + 1}' for j in joints])}: {listed([robot.joint_names[j] for j in joints])}"
 
 
 def _is_held(q: np.ndarray, resolution: float | None) -> bool:

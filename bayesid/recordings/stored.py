@@ -18,7 +18,7 @@ import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, listed, one_line
-from bayesid.recordings.table import GAP, Table, usual_step
+from bayesid.recordings.table import GAP, Table, of_every_joint, usual_step
 from bayesid.recordings.table_reader import EMPTY, column_groups, count_lines, open_parquet, read_header
 from bayesid.recordings.toml_file import LARGEST
 from bayesid.tasks import map_tasks
@@ -126,10 +126,8 @@ class StoredTable:
 
     def _as_table(self, arrays: Arrays) -> Table:
         times = arrays.pop("t")[:, 0]
-        if "torques" in arrays and arrays["torques"].shape[1] < self.joints:
-            every = np.full((len(times), self.joints), np.nan)
-            every[:, [int(name[3:]) - 1 for name in self.layout.groups["torques"]]] = arrays["torques"]
-            arrays["torques"] = every
+        if "torques" in arrays:
+            arrays["torques"] = of_every_joint(arrays["torques"], self.layout.groups["torques"], self.joints)
         return Table(times, arrays["positions"], torques=arrays.get("torques"), wrench=arrays.get("wrench"), source=self.source)
 
     def _parts(self, first: int, last: int) -> Iterator[tuple[int, int]]:

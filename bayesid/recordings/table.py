@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import listed
+from bayesid.recordings.complaints import columns_of
 
 
 def usable_rows(
@@ -40,14 +40,13 @@ def usable_rows(
     if len(repeats):
         before = float(times[repeats[0]])
         fault, remedy = f"time is repeated, {before:g} after {before:g}", "write times with more digits, or remove those rows"
-        _refuse_most(fault, repeats, len(filled), source, "t", place(int(repeats[0])), remedy)
+        _refuse_most(fault, repeats, len(filled), source, "column t", place(int(repeats[0])), remedy)
         notes.append(_note("column t", repeats, "at the time of the row before", source, place, times))
     missing = np.flatnonzero(empty)
     if len(missing):
-        names = listed(holes)
         remedy = "if topics of different rates were joined, interpolate them at the times of one; else leave the column out"
-        _refuse_most("no reading", missing, len(times), source, names, place(int(missing[0])), remedy)
-        notes.append(_note(f"column{'s' * (len(holes) > 1)} {names}", missing, "without a reading", source, place, times))
+        _refuse_most("no reading", missing, len(times), source, columns_of(holes), place(int(missing[0])), remedy)
+        notes.append(_note(columns_of(holes), missing, "without a reading", source, place, times))
     return np.union1d(missing, repeats), tuple(notes)
 
 
@@ -67,8 +66,8 @@ def _note(what: str, rows: np.ndarray, fault: str, source: str, place: Callable[
 
 def _refuse_most(fault: str, rows: np.ndarray, of: int, source: str, columns: str, where: str, remedy: str) -> None:
     if 2 * len(rows) > of:
-        key = f"column{'s' * (',' in columns)} {columns}, {where}"
-        raise InputError(f"{fault} ({len(rows)} of {of} rows)", file=source, key=key, value=len(rows), remedy=remedy)
+        problem = f"{fault} ({len(rows)} of {of} rows)"
+        raise InputError(problem, file=source, key=f"{columns}, {where}", value=len(rows), remedy=remedy)
 
 
 if TYPE_CHECKING:
@@ -158,6 +157,12 @@ class Table:
             object.__setattr__(self, name, array)
         check_increasing(self.times, self.source, lambda row: f"row {row}")
 
+    @property
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """All arrays that there are by their names."""
+        names = ("times", *JOINT_GROUPS, "wrench")
+        return {name: array for name in names if (array := getattr(self, name)) is not None}
+
     def __repr__(self) -> str:
         return f"<Table {self.source}: {len(self)} samples, {self.positions.shape[1]} joints, {self.duration:.4g} s>"
 
@@ -179,22 +184,13 @@ class Table:
             The times that are picked do not rise.
         """
         picked = np.atleast_1d(np.arange(len(self))[rows])
-        arrays = {name: getattr(self, name) for name in ("times", *JOINT_GROUPS, "wrench")}
-        kept = {name: array[picked] for name, array in arrays.items() if array is not None}
-        return replace(self, **kept, dropped=np.zeros(0, int))
+        return replace(self, **{name: array[picked] for name, array in self._arrays.items()}, dropped=np.zeros(0, int))
 
     def to_dataframe(self) -> DataFrame:
         """The samples, a row each, in the columns of a recorded table: ``t``, ``q1``, ..., ``fx``, ..., ``mz`` [SI units]."""
         from pandas import DataFrame  # takes longer to import than most tables take to read
 
-        columns: dict[str, np.ndarray] = {"t": self.times}
-        for group, prefix in JOINT_GROUPS.items():
-            array = getattr(self, group)
-            if array is not None:
-                columns |= {f"{prefix}{j + 1}": array[:, j] for j in range(array.shape[1]) if not np.isnan(array[0, j])}
-        if self.wrench is not None:
-            columns |= {name: self.wrench[:, k] for k, name in enumerate(WRENCH_COLUMNS)}
-        return DataFrame(columns)
+        return DataFrame({"t": self.times} | _columns(self._arrays))
 
     @property
     def step(self) -> float:
@@ -215,20 +211,13 @@ class Table:
         """The table without more rows, by their indices in the recording as it was read (k,)."""
         more = np.setdiff1d(rows, self.dropped)
         kept = np.delete(np.arange(len(self) + len(self.dropped)), self.dropped)
-        arrays = {
-            name: None if (array := getattr(self, name)) is None else np.delete(array, np.searchsorted(kept, more), axis=0)
-            for name in ("times", "wrench", *JOINT_GROUPS)
-        }
+        arrays = {name: np.delete(array, np.searchsorted(kept, more), axis=0) for name, array in self._arrays.items()}
         return replace(self, **arrays, dropped=np.union1d(self.dropped, more))
 
     def channels(self) -> list[tuple[str, np.ndarray]]:
         """Name and readings (N,) of every wrench and torque column."""
-        named: list[tuple[str, np.ndarray]] = []
-        if self.wrench is not None:
-            named += zip(WRENCH_COLUMNS, self.wrench.T, strict=True)
-        if self.torques is not None:
-            named += [(f"tau{j + 1}", self.torques[:, j]) for j in self.torque_joints]
-        return named
+        wrench = [] if self.wrench is None else list(zip(WRENCH_COLUMNS, self.wrench.T, strict=True))
+        return wrench + [(f"tau{j + 1}", self.torques[:, j]) for j in self.torque_joints if self.torques is not None]
 
     def segments(self) -> list[slice]:
         """Return the pieces between gaps, in order: steps above five times the median one are gaps."""
@@ -259,15 +248,20 @@ def _floats(given: object, what: str) -> np.ndarray:
 
 def _columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Readings by the names of their columns, without torques of joints that have none."""
-    names = {**JOINT_GROUPS, "wrench": ""}
     out: dict[str, np.ndarray] = {}
-    for group, prefix in names.items():
-        if group not in arrays:
-            continue
-        labels = WRENCH_COLUMNS if group == "wrench" else [f"{prefix}{j + 1}" for j in range(arrays[group].shape[1])]
-        given = zip(labels, arrays[group].T, strict=True)
-        out |= {name: column for name, column in given if group != "torques" or not np.isnan(column).all()}
-    return out
+    for group, prefix in JOINT_GROUPS.items():
+        given = enumerate(arrays[group].T if group in arrays else ())
+        out |= {f"{prefix}{j + 1}": column for j, column in given if group != "torques" or not np.isnan(column).all()}
+    return out | dict(zip(WRENCH_COLUMNS, arrays["wrench"].T, strict=True) if "wrench" in arrays else ())
+
+
+def of_every_joint(torques: np.ndarray, names: Sequence[str], joints: int) -> np.ndarray:
+    """Torques of some joints (N, k), in columns ``tau1`` and so on, as those of all joints: NaN where there are none (N, n)."""
+    if torques.shape[1] == joints:
+        return torques
+    every = np.full((len(torques), joints), np.nan)
+    every[:, [int(name[3:]) - 1 for name in names]] = torques
+    return every
 
 
 def usual_step(times: np.ndarray) -> float:

@@ -7,7 +7,6 @@ more memory than their numbers. Only when something is wrong is the file read ag
 from __future__ import annotations
 
 import csv
-import importlib
 import itertools
 import re
 import warnings
@@ -18,10 +17,10 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 
 from bayesid.arguments import call
-from bayesid.errors import InputError
-from bayesid.recordings.complaints import cut, listed, one_line, suggest
+from bayesid.errors import InputError, required
+from bayesid.recordings.complaints import cut, is_number, listed, one_line, suggest
 from bayesid.recordings.importing.stream import FOREIGN, kind_of
-from bayesid.recordings.table import JOINT_GROUPS, WRENCH_COLUMNS, Table, check_increasing, usable_rows
+from bayesid.recordings.table import JOINT_GROUPS, WRENCH_COLUMNS, Table, check_increasing, of_every_joint, usable_rows
 from bayesid.recordings.toml_file import LARGEST
 
 if TYPE_CHECKING:
@@ -107,12 +106,8 @@ def _plain_cells(path: Path, places: list[int]) -> np.ndarray | None:
 
 def open_parquet(path: Path, source: str) -> Any:
     """A Parquet file, of which nothing but its description is read yet; an `InputError` where it is none, or without pyarrow."""
-    try:
-        parquet = importlib.import_module("pyarrow.parquet")
-    except ImportError:
-        raise InputError(
-            f'{source}: reading Parquet needs pyarrow; pip install "bayesid[parquet]", or write the table as CSV'
-        ) from None
+    remedy = 'pip install "bayesid[parquet]", or write the table as CSV'
+    parquet = required("pyarrow.parquet", InputError("reading Parquet needs pyarrow", file=source, remedy=remedy))
     try:
         return parquet.ParquetFile(path)
     except ValueError as error:  # pyarrow.ArrowInvalid
@@ -163,10 +158,8 @@ def _assemble(
             )  # fmt: skip
     times = arrays.pop("t")[:, 0]
     check_increasing(times, source, place)
-    if "torques" in arrays and arrays["torques"].shape[1] < joints:
-        every = np.full((len(times), joints), np.nan)
-        every[:, [int(name[3:]) - 1 for name in groups["torques"]]] = arrays["torques"]
-        arrays["torques"] = every
+    if "torques" in arrays:
+        arrays["torques"] = of_every_joint(arrays["torques"], groups["torques"], joints)
     return Table(times=times, source=source, dropped=dropped, notes=notes, **arrays)
 
 
@@ -183,7 +176,7 @@ def read_header(path: Path, source: str) -> list[str]:
     if header is None:
         raise InputError(f"{source}: is empty; write a header (t, q1, ...) and one row per sample")
     header = [name.strip() for name in header]
-    if all(_is_number(name) for name in header):
+    if all(is_number(name) for name in header):
         raise InputError(f'{source}: line 1 holds numbers ("{cut(header[0])}"); write a header that names the columns')
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if len(header) == 1 and separator in header[0]:
@@ -328,11 +321,3 @@ def _line_number(path: Path, row: int) -> int:
         reader = csv.reader(handle, skipinitialspace=True)
         filled = (reader.line_num for cells in reader if not _blank(cells))
         return next(itertools.islice(filled, row + 1, None), 0)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

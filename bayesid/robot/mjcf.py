@@ -7,7 +7,6 @@ in a link: it is handed on beside them.
 
 from __future__ import annotations
 
-import importlib
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from bayesid.errors import InputError
+from bayesid.errors import InputError, required
 
 #: States that both libraries are compared in, and the largest difference, relative to the largest number: MuJoCo 4 agrees to
 #: rounding, MuJoCo 3 finds principal axes of inertia to 1e-7.
@@ -49,10 +48,7 @@ class MjcfRobot:
 
 def load_mujoco() -> Any:
     """The package mujoco; an `InputError` where it is not installed."""
-    try:
-        return importlib.import_module("mujoco")
-    except ImportError:
-        raise InputError('MJCF needs MuJoCo, which is not installed; pip install "bayesid[mujoco]"') from None
+    return required("mujoco", InputError('MJCF needs MuJoCo, which is not installed; pip install "bayesid[mujoco]"'))
 
 
 def read_mjcf(path: Path) -> MjcfRobot:

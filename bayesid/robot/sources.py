@@ -13,7 +13,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from bayesid.errors import InputError
+from bayesid.errors import InputError, required
 
 #: Before the name of a description of the package robot_descriptions.
 NAMED = "robot_descriptions:"
@@ -53,14 +53,11 @@ def expand(source: RobotSource) -> bytes:
     Packages that it names are looked for in the folders above it, then where ROS has them.
     """
     path = source.path
-    try:
-        packages: Any = importlib.import_module("xacrodoc.packages")
-        xacro: Any = importlib.import_module("xacro")
-    except ImportError:
-        raise InputError(
-            "is a xacro file, which needs xacrodoc", file=path.name,
-            remedy='pip install "bayesid[robots]", or expand it first: xacro FILE > robot.urdf',
-        ) from None  # fmt: skip
+    missing = InputError(
+        "is a xacro file, which needs xacrodoc", file=path.name,
+        remedy='pip install "bayesid[robots]", or expand it first: xacro FILE > robot.urdf',
+    )  # fmt: skip
+    packages, xacro = required("xacrodoc.packages", missing), required("xacro", missing)
     try:
         packages.reset()  # a package of the same name that another robot's file has found
         packages.walk_up_from(path)
@@ -79,12 +76,9 @@ def expand(source: RobotSource) -> bytes:
 def _described(name: str, arguments: Mapping[str, str]) -> RobotSource:
     """A description by its name: its URDF, else its xacro file, else its MJCF."""
     place = f"{NAMED}{name}"
-    try:
-        known = importlib.import_module("robot_descriptions").DESCRIPTIONS
-    except ImportError:
-        raise InputError(
-            "needs the package robot_descriptions", file=place, remedy='pip install "bayesid[robots]", or name a file'
-        ) from None
+    remedy = 'pip install "bayesid[robots]", or name a file'
+    missing = InputError("needs the package robot_descriptions", file=place, remedy=remedy)
+    known = required("robot_descriptions", missing).DESCRIPTIONS
     if name not in known:
         close = get_close_matches(name, known, 1)
         hint = f"did you mean {close[0]}?" if close else "`python -m robot_descriptions list` lists them"

@@ -19,7 +19,7 @@ from bayesid.recordings.toml_file import Keys, Number, Section, read_toml
 
 #: Quantities of one number a joint, and those of the wrench, of three or six.
 JOINT_QUANTITIES = ("q", "v", "qr", "tau")
-_AXES = {"wrench": WRENCH_COLUMNS, "f": WRENCH_COLUMNS[:3], "m": WRENCH_COLUMNS[3:]}
+AXES = {"wrench": WRENCH_COLUMNS, "f": WRENCH_COLUMNS[:3], "m": WRENCH_COLUMNS[3:]}
 _LONGEST_SHIFT = 1e6  # [s]
 _ONE = re.compile(r"(qr|q|v|tau)([1-9]\d*)")
 
@@ -72,7 +72,7 @@ class ColumnMap:
     def __post_init__(self) -> None:
         """Check the keys and units; names of joints and of columns are the robot's and the log's business."""
         for key in self.columns:
-            if key not in ("t", *JOINT_QUANTITIES, *_AXES, *WRENCH_COLUMNS) and not _ONE.fullmatch(key):
+            if key not in ("t", *JOINT_QUANTITIES, *AXES, *WRENCH_COLUMNS) and not _ONE.fullmatch(key):
                 raise InputError(
                     f'"{cut(key)}" is no column of ours', file=self.file, key="columns", value=key,
                     remedy=suggest(key, ("t", "q", "v", "qr", "tau", "wrench", "q1", "tau1", *WRENCH_COLUMNS), "write one of"),
@@ -90,7 +90,7 @@ class ColumnMap:
         checked = {}
         for key, unit in self.units.items():
             quantity = quantity_of(key)
-            if quantity is None:
+            if not quantity:
                 raise InputError(
                     f'"{cut(key)}" is no quantity or column of ours', file=self.file, key="units", value=key,
                     remedy=suggest(key, UNITS, "write one of"),
@@ -100,11 +100,11 @@ class ColumnMap:
 
     def unit(self, column: str) -> str | None:
         """The unit stated for one of our columns; None where none is."""
-        return self.units.get(column, self.units.get(quantity_of(column) or ""))
+        return self.units.get(column, self.units.get(quantity_of(column)))
 
     def factor(self, column: str, joint: str = "") -> float | None:
         """The factor stated for one of our columns; None where none is."""
-        found = [self.scale[key] for key in (column, quantity_of(column) or "") if key in self.scale]
+        found = [self.scale[key] for key in (column, quantity_of(column)) if key in self.scale]
         if column.startswith("tau") and joint in self.scale:
             found.insert(0, self.scale[joint])
         return found[0] if found else None
@@ -126,21 +126,21 @@ class ColumnMap:
                     remedy=suggest(joint, joints, "write one of"),
                 )  # fmt: skip
         for key in self.scale:
-            if quantity_of(key) is None and key not in joints:
+            if not quantity_of(key) and key not in joints:
                 raise InputError(
                     f'"{cut(key)}" is neither a column nor a joint', file=self.file, key="units.scale", value=key,
                     remedy=suggest(key, (*joints, "tau1", *UNITS), "write one of"),
                 )  # fmt: skip
 
 
-def quantity_of(column: str) -> str | None:
-    """The quantity, a key of `UNITS`, of a column or quantity of ours; None where it is neither."""
+def quantity_of(column: str) -> str:
+    """The quantity, a key of `UNITS`, of a column or quantity of ours; empty where it is neither."""
     if column in UNITS:
         return column
     if column in WRENCH_COLUMNS:
         return column[0]
     one = _ONE.fullmatch(column)
-    return one[1] if one else None
+    return one[1] if one else ""
 
 
 def load_column_map(path: str | Path) -> ColumnMap:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, listed, suggest
-from bayesid.recordings.importing.column_map import JOINT_QUANTITIES, ColumnMap
+from bayesid.recordings.importing.column_map import AXES, JOINT_QUANTITIES, ColumnMap, quantity_of
 from bayesid.recordings.importing.stream import Stream
 from bayesid.recordings.importing.units import UNITS, known_unit
 from bayesid.recordings.table import WRENCH_COLUMNS
@@ -78,7 +78,7 @@ def find_columns(
     """
     finder = _Finder(streams, stated, source)
     wanted = tuple(joints or moving)
-    positions = finder.stated_joints("q", wanted) or finder.by_name("q", wanted) or finder.by_number("q", wanted, True)
+    positions = finder.of_joints("q", wanted, must=True)
     if not positions:
         raise InputError(f"no positions of {listed(wanted, 6)} are found", file=source, remedy=finder.what_to_name(wanted))
     if joints is not None and (missing := [name for k, name in enumerate(joints) if k not in positions]):
@@ -92,10 +92,7 @@ def find_columns(
         raise InputError(f"{listed(names)} are locked, all that have positions", file=source, remedy="leave one free")
     found = [_found(f"q{at + 1}", *positions[present[k]]) for k, at in place.items()]
     for quantity in JOINT_QUANTITIES[1:]:
-        columns = (
-            finder.stated_joints(quantity, names) or finder.by_name(quantity, names) or finder.by_number(quantity, names, False)
-        )
-        columns = {place[k]: column for k, column in columns.items() if k in place}
+        columns = {place[k]: column for k, column in finder.of_joints(quantity, names).items() if k in place}
         if len(columns) == len(place) or quantity == "tau":  # each torque says something of the links that its joint moves
             found += [_found(f"{quantity}{at + 1}", *columns[at]) for at in sorted(columns)]
     wrench = finder.stated_wrench() or finder.wrench_by_name()
@@ -135,6 +132,10 @@ class _Finder:
 
     def __init__(self, streams: Sequence[Stream], stated: ColumnMap, source: str) -> None:
         self.streams, self.stated, self.source = streams, stated, source
+
+    def of_joints(self, quantity: str, joints: Sequence[str], must: bool = False) -> dict[int, tuple[Stream, str]]:
+        """Columns of a quantity by the index of the joint, as stated or found; ``must`` as for `by_number`."""
+        return self.stated_joints(quantity, joints) or self.by_name(quantity, joints) or self.by_number(quantity, joints, must)
 
     def stated_joints(self, quantity: str, joints: Sequence[str]) -> dict[int, tuple[Stream, str]]:
         """Columns that the user names for a quantity, by the index of the joint."""
@@ -212,7 +213,7 @@ class _Finder:
         """Columns that the user names for the wrench."""
         found: dict[str, tuple[Stream, str]] = {}
         columns = self.stated.columns
-        for key, axes in (("wrench", WRENCH_COLUMNS), ("f", WRENCH_COLUMNS[:3]), ("m", WRENCH_COLUMNS[3:])):
+        for key, axes in AXES.items():
             if (given := columns.get(key)) is None:
                 continue
             names = self._entries(given, key) if isinstance(given, str) else list(given)
@@ -311,8 +312,7 @@ class _Finder:
 
 
 def _found(ours: str, stream: Stream, column: str) -> FoundColumn:
-    quantity = ours[0] if ours[0] in "fm" else ours.rstrip("0123456789")
-    return FoundColumn(ours, stream, column, _stated_unit(column, quantity))
+    return FoundColumn(ours, stream, column, _stated_unit(column, quantity_of(ours)))
 
 
 def _classified(name: str, joints: Sequence[str]) -> tuple[str, int]:
@@ -344,11 +344,8 @@ def _tokens(name: str) -> set[str]:
 def _bare(column: str) -> str:
     """A column's name without the unit that it states."""
     match = _UNIT.search(column)
-    return column[: match.start()] if match and not match[1].isdigit() and _is_unit(match[1]) else column
-
-
-def _is_unit(text: str) -> bool:
-    return any(known_unit(quantity, text) for quantity in UNITS)
+    unit = match and not match[1].isdigit() and any(known_unit(quantity, match[1]) for quantity in UNITS)
+    return column[: match.start()] if match and unit else column
 
 
 def _stated_unit(column: str, quantity: str) -> str | None:

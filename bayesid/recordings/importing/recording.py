@@ -18,7 +18,7 @@ from bayesid.recordings.importing.found_columns import Layout, find_columns, pos
 from bayesid.recordings.importing.reader import read_source
 from bayesid.recordings.importing.signals import Signal, make_signals, resting
 from bayesid.recordings.importing.stream import Source, Stream
-from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table
+from bayesid.recordings.table import GAP, JOINT_GROUPS, WRENCH_COLUMNS, Table
 
 #: A topic that is this many times as fast as the rows is averaged over a row's step, so that no noise is folded down.
 _FASTER = 1.5
@@ -148,7 +148,7 @@ class Recording:
         """The recording as a table that messages call ``name``, with or without the wrench."""
         n, values, ours = len(self.layout.joints), self.joined.values, self.joined.ours
         arrays: dict[str, Any] = {}
-        for quantity, field in (("q", "positions"), ("v", "velocities"), ("qr", "commanded"), ("tau", "torques")):
+        for field, quantity in JOINT_GROUPS.items():
             if quantity in values:
                 every = np.full((len(self.joined.times), n), np.nan)
                 every[:, [int(column.removeprefix(quantity)) - 1 for column in ours[quantity]]] = values[quantity]

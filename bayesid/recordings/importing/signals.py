@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bayesid.arguments import argument
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import cut, listed
+from bayesid.recordings.complaints import cut, is_number, listed
 from bayesid.recordings.importing.clock import RowTimes
-from bayesid.recordings.importing.column_map import ColumnMap
+from bayesid.recordings.importing.column_map import ColumnMap, quantity_of
 from bayesid.recordings.importing.found_columns import FoundColumn, Layout
 from bayesid.recordings.importing.stream import Stream
 from bayesid.recordings.importing.units import NEED_CONSTANT, UNITS
@@ -82,7 +81,7 @@ def make_signals(
     notes: list[str] = []
     groups: dict[tuple[str, int], list[FoundColumn]] = {}
     for found in layout.found:
-        quantity = "wrench" if found.ours in WRENCH_COLUMNS else found.ours.rstrip("0123456789")
+        quantity = "wrench" if found.ours in WRENCH_COLUMNS else quantity_of(found.ours)
         groups.setdefault((quantity, id(found.stream)), []).append(found)
     signals = []
     for (quantity, _), found in groups.items():
@@ -128,13 +127,13 @@ def resting(found: FoundColumn, stated: ColumnMap, joint: str, source: str) -> t
 
 def _converted(found: FoundColumn, stated: ColumnMap, joints: Sequence[str], source: str) -> tuple[np.ndarray, str]:
     """A column in SI units, and the unit that it was written in."""
-    quantity = found.ours[0] if found.ours in WRENCH_COLUMNS else found.ours.rstrip("0123456789")
+    quantity = quantity_of(found.ours)
     raw = found.stream.columns[found.column]
     place = f'column "{cut(found.stream.full_name(found.column), 80)}"'
     try:
         values = raw.astype(np.float64)
     except (TypeError, ValueError):
-        row = next(k for k, cell in enumerate(raw) if not _is_number(cell))
+        row = next(k for k, cell in enumerate(raw) if not is_number(cell))
         raise InputError(
             f'"{cut(str(raw[row]))}" is no number', file=source, key=f"{place}, row {row}", value=str(raw[row]),
             remedy="correct it, or leave the cell empty",
@@ -157,14 +156,6 @@ def _converted(found: FoundColumn, stated: ColumnMap, joints: Sequence[str], sou
         )  # fmt: skip
     factor = (1.0 if unit is None else UNITS[quantity][unit]) * (1.0 if scale is None else scale)
     return (values if factor == 1.0 else values * factor), unit or next(iter(UNITS[quantity]))
-
-
-def _is_number(cell: Any) -> bool:
-    try:
-        float(cell)
-    except (TypeError, ValueError):
-        return False
-    return True
 
 
 def _usable(clock: RowTimes, values: np.ndarray, what: str, source: str) -> tuple[np.ndarray, list[str]]:
@@ -202,7 +193,4 @@ def _without_held(signal: Signal) -> Signal:
         return signal
     new = np.append(True, (np.diff(signal.values, axis=0) != 0.0).any(axis=1))
     share = len(new) / max(int(new.sum()), 1)
-    return Signal(
-        signal.quantity, signal.ours, signal.times[new], signal.values[new], signal.columns, signal.units, signal.topic,
-        signal.clock, signal.rows[new], signal.recorded, share,
-    )  # fmt: skip
+    return replace(signal, times=signal.times[new], values=signal.values[new], rows=signal.rows[new], held=share)

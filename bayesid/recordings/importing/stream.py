@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
 import numpy as np
 
-from bayesid.errors import InputError
+from bayesid.errors import InputError, required
 
 _FILES = {
     "bag": (".bag", ".db3", ".mcap"), "text": (".csv", ".tsv", ".txt", ".dat", ".log"), "parquet": (".parquet", ".pq"),
@@ -74,9 +73,6 @@ def array_columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
     return {f"{name}[{k}]": flat[:, k] for k in range(flat.shape[1])}
 
 
-def extra(module: str, package: str, source: str) -> ModuleType:
+def extra(module: str, package: str, source: str) -> Any:
     """Import a module of an optional package; an `InputError` says how to install it."""
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise InputError(f"reading it needs {package}", file=source, remedy='pip install "bayesid[import]"') from None
+    return required(module, InputError(f"reading it needs {package}", file=source, remedy='pip install "bayesid[import]"'))

@@ -6,14 +6,13 @@ import csv
 import json
 import re
 from collections.abc import Sequence
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import cut, listed, one_line
+from bayesid.recordings.complaints import cut, is_number, listed, one_line
 from bayesid.recordings.importing.stream import INFO, Source, Stream, array_columns, extra
 from bayesid.recordings.table_reader import count_lines
 
@@ -102,12 +101,12 @@ def _first_lines(path: Path) -> list[str]:
         text = block.decode("utf-8-sig", errors="strict" if len(block) < _LONGEST_LINE else "ignore")
     except UnicodeDecodeError:
         raise InputError("is not UTF-8 text", file=path.name, remedy="export the table as CSV in UTF-8") from None
-    return list(islice((line for line in text.splitlines()), 10 * _SNIFFED))
+    return text.splitlines()[: 10 * _SNIFFED]
 
 
 def _header_line(lines: list[str], source: str) -> tuple[int, str]:
     """Index of the line that names the columns, after comments and blank lines, and what separates them."""
-    first = next((k for k, line in enumerate(lines) if line.strip() and not _number(line.strip().split(",")[0])), None)
+    first = next((k for k, line in enumerate(lines) if line.strip() and not is_number(line.strip().split(",")[0])), None)
     while first is not None and first + 1 < len(lines) and lines[first + 1].lstrip().startswith("#"):
         first += 1  # remarks before a header that is one, too
     if first is None:
@@ -125,14 +124,6 @@ def _header_line(lines: list[str], source: str) -> tuple[int, str]:
             remedy="separate columns with commas, semicolons or tabs",
         )  # fmt: skip
     return first, separator
-
-
-def _number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _by_joint(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
