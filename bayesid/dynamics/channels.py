@@ -101,19 +101,22 @@ def torque_channels(robot: Robot) -> Channels:
     )
 
 
+def root_twists(channels: Channels) -> np.ndarray:
+    """Twists in their joint's frame, those on the root in the base frame (c, 6)."""
+    # From the frame of computing, whose pose in the base is (R, p), to the base frame: (R l + p x R w; R w).
+    rotation, translation = channels.reference_rotation, channels.reference_translation
+    angular = channels.twist[:, 3:] @ rotation.T
+    moved = np.hstack([channels.twist[:, :3] @ rotation.T + np.cross(translation, angular), angular])
+    return np.where((channels.joint < 0)[:, None], moved, channels.twist)
+
+
 def stack_channels(wrench: Channels, torque: Channels) -> Channels:
     """Both sets of channels together, computed in the base frame."""
-    twist = wrench.twist
-    if (wrench.joint < 0).all():
-        # From the sensor frame, whose pose in the base is (R, p), to the base frame: (R l + p x R w; R w).
-        rotation, translation = wrench.reference_rotation, wrench.reference_translation
-        angular = wrench.twist[:, 3:] @ rotation.T
-        twist = np.hstack([wrench.twist[:, :3] @ rotation.T + np.cross(translation, angular), angular])
     return Channels(
         names=wrench.names + torque.names,
         units=wrench.units + torque.units,
         joint=np.concatenate([wrench.joint, torque.joint]),
-        twist=np.vstack([twist, torque.twist]),
+        twist=np.vstack([root_twists(wrench), torque.twist]),
         bodies=np.vstack([wrench.bodies, torque.bodies]),
         reference_rotation=torque.reference_rotation,
         reference_translation=torque.reference_translation,

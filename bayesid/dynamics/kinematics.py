@@ -11,41 +11,36 @@ from functools import lru_cache
 
 import numpy as np
 
-from bayesid.dynamics.channels import WRENCH_NAMES, Channels
+from bayesid.dynamics.channels import WRENCH_NAMES, Channels, root_twists
 from bayesid.dynamics.newton_euler import (
     BLOCK,
     LANES,
     STATE,
     add,
     advance,
-    apply,
+    at_rest,
     body_columns,
     body_wrench,
     cross,
     dot,
-    get,
-    get_rotation,
+    get_one,
     jit,
+    put_one,
+    set_motion,
 )
 from bayesid.dynamics.newton_euler import project as project_block
+from bayesid.dynamics.regressors import add_up_readings, chain
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
 from bayesid.signals.kernel_input import kernel_input
 
 R, P, W, DW, A, V, WIDTH = 0, 9, 12, 15, 18, 21, 24
 
-_get = jit(lambda x, i: (x[i], x[i + 1], x[i + 2]))
-
-
-@jit
-def _put(x, i, value):
-    x[i], x[i + 1], x[i + 2] = value
-
 
 @jit
 def _turn(row, x):
     """R x."""
-    return (dot(_get(row, 0), x), dot(_get(row, 3), x), dot(_get(row, 6), x))
+    return (dot(get_one(row, 0), x), dot(get_one(row, 3), x), dot(get_one(row, 6), x))
 
 
 @jit
@@ -59,8 +54,7 @@ def _store(row, states, at, first, count):
 @jit
 def _states(q, v, a, order, parent, turn, translation, axis, slides, root, out):
     n, samples = q.shape[1], len(q)
-    rows, motion = np.zeros((n + 1, STATE)), np.zeros(5 * LANES)
-    rows[n, :LANES] = rows[n, 4 * LANES : 5 * LANES] = rows[n, 8 * LANES : 9 * LANES] = 1.0
+    rows, motion = at_rest(n, np.zeros(3)), np.zeros((n, 5 * LANES))
     for first in range(0, samples, LANES):
         count = min(LANES, samples - first)
         if len(root):
@@ -69,34 +63,26 @@ def _states(q, v, a, order, parent, turn, translation, axis, slides, root, out):
                     rows[n, field * LANES + s] = root[first + s, field]
         _store(rows[n], out, n, first, count)
         out[first : first + count, n, V : V + 3] = 0.0
+        set_motion(motion, q, v, a, first, count, False)
         for i in order:
             up = parent[i]
-            for s in range(count):
-                angle = q[first + s, i]
-                motion[s], motion[LANES + s], motion[2 * LANES + s] = angle, np.sin(angle), np.cos(angle)
-                motion[3 * LANES + s], motion[4 * LANES + s] = v[first + s, i], a[first + s, i]
-            advance(rows[up], rows[i], motion, turn[i], translation[i], axis[i], slides[i])
+            advance(rows[up], rows[i], motion[i], turn[i], translation[i], axis[i], slides[i])
             _store(rows[i], out, i, first, count)
             for s in range(first, first + count):  # the origin's velocity: v_up + w_up x r, and along a slide
-                offset = add(_get(out[s, i], P), _get(out[s, up], P), -1.0)
-                slid = _turn(out[s, up], _get(axis[i], 0))
-                _put(out[s, i], V, add(add(_get(out[s, up], V), cross(_get(out[s, up], W), offset)), slid, slides[i] * v[s, i]))
+                offset = add(get_one(out[s, i], P), get_one(out[s, up], P), -1.0)
+                slid = _turn(out[s, up], get_one(axis[i], 0))
+                put_one(
+                    out[s, i],
+                    V,
+                    add(add(get_one(out[s, up], V), cross(get_one(out[s, up], W), offset)), slid, slides[i] * v[s, i]),
+                )
 
 
 @lru_cache(maxsize=16)
 def _tables(holder: _RobotKey):
     robot = holder.robot
-    along = robot.axis[:, :, None] * robot.axis[:, None, :]
-    crossed = np.cross(robot.axis[:, None], np.eye(3)).swapaxes(1, 2)
-    turn = robot.rotation[:, None] @ np.stack([along, np.eye(3) - along, crossed], 1)
-    turn[robot.prismatic] = 0.0
-    turn[robot.prismatic, 0] = robot.rotation[robot.prismatic]
-    axis = np.einsum("rij,rj->ri", robot.rotation, robot.axis)
     parent = np.where(robot.parent < 0, robot.n, robot.parent)
-    return (
-        robot.order, parent, turn.reshape(-1, 27), kernel_input(robot.translation), axis,
-        robot.prismatic.astype(float),
-    )  # fmt: skip
+    return chain(robot.order, parent, robot.rotation, kernel_input(robot.translation), robot.axis, robot.prismatic)
 
 
 class _RobotKey:
@@ -165,9 +151,9 @@ def _twists(states, rows, fixed, out):
     for s in range(len(states)):
         for c in range(len(rows)):
             x = states[s, rows[c]]
-            angular = _turn(x, _get(fixed[c], 3))
-            _put(out[s, c], 0, add(_turn(x, _get(fixed[c], 0)), cross(_get(x, P), angular)))
-            _put(out[s, c], 3, angular)
+            angular = _turn(x, get_one(fixed[c], 3))
+            put_one(out[s, c], 0, add(_turn(x, get_one(fixed[c], 0)), cross(get_one(x, P), angular)))
+            put_one(out[s, c], 3, angular)
 
 
 def channel_twists(robot: Robot, channels: Channels, states: np.ndarray) -> np.ndarray:
@@ -176,14 +162,6 @@ def channel_twists(robot: Robot, channels: Channels, states: np.ndarray) -> np.n
     rows = np.where(channels.joint < 0, robot.n, channels.joint)
     _twists(states, rows, kernel_input(root_twists(channels)), out)
     return out
-
-
-def root_twists(channels: Channels) -> np.ndarray:
-    """Twists in their joint's frame, those on the root in the base frame (c, 6)."""
-    rotation, translation = channels.reference_rotation, channels.reference_translation
-    angular = channels.twist[:, 3:] @ rotation.T
-    moved = np.hstack([channels.twist[:, :3] @ rotation.T + np.cross(translation, angular), angular])
-    return np.where((channels.joint < 0)[:, None], moved, channels.twist)
 
 
 @jit
@@ -205,38 +183,6 @@ def project(twists: np.ndarray, wrenches: np.ndarray, carries: np.ndarray) -> np
     return out
 
 
-@jit
-def _torques(q, v, a, order, parent, turn, translation, axis, slides, row_of, links, gravity, rows, fixed, carries, out):
-    n, bodies = q.shape[1], len(links)
-    state, motion = np.zeros((n + 1, STATE)), np.zeros(5 * LANES)
-    wrench, total = np.zeros((bodies, 6 * LANES)), np.zeros(6 * LANES)
-    state[n, :LANES] = state[n, 4 * LANES : 5 * LANES] = state[n, 8 * LANES : 9 * LANES] = 1.0
-    for k in range(3):
-        state[n, (A + k) * LANES : (A + k + 1) * LANES] = -gravity[k]
-    for first in range(0, len(q), LANES):
-        count = min(LANES, len(q) - first)
-        for i in order:
-            for s in range(count):
-                angle = q[first + s, i]
-                motion[s], motion[LANES + s], motion[2 * LANES + s] = angle, np.sin(angle), np.cos(angle)
-                motion[3 * LANES + s], motion[4 * LANES + s] = v[first + s, i], a[first + s, i]
-            advance(state[parent[i]], state[i], motion, turn[i], translation[i], axis[i], slides[i])
-        for b in range(bodies):
-            body_wrench(state[row_of[b]], links[b], wrench[b])
-        for c in range(len(rows)):
-            total[:] = 0.0
-            for b in range(bodies):
-                if carries[c, b]:
-                    for k in range(6 * LANES):
-                        total[k] += wrench[b, k]
-            row, linear, direction = state[rows[c]], _get(fixed[c], 0), _get(fixed[c], 3)
-            for s in range(count):
-                r, p = get_rotation(row, s), get(row, P * LANES + s)
-                turned = apply(r, direction)
-                moved = add(apply(r, linear), cross(p, turned))
-                out[first + s, c] = dot(moved, get(total, s)) + dot(turned, get(total, 3 * LANES + s))
-
-
 def readings_of_bodies(
     robot: Robot, channels: Channels, motion: tuple[np.ndarray, np.ndarray, np.ndarray], row_of: np.ndarray, links: np.ndarray,
     gravity: np.ndarray, carries: np.ndarray,
@@ -247,9 +193,9 @@ def readings_of_bodies(
     """
     q, v, a = (kernel_input(x) for x in motion)
     out = np.empty((len(q), len(channels)))
-    rows = np.where(channels.joint < 0, robot.n, channels.joint)
-    fixed = kernel_input(root_twists(channels))
-    _torques(q, v, a, *_tables(_RobotKey(robot)), row_of, kernel_input(links), kernel_input(gravity), rows, fixed, carries, out)
+    twists = channels.joint, kernel_input(root_twists(channels)), np.full(len(channels), -1)
+    chained = *_tables(_RobotKey(robot)), kernel_input(gravity)
+    add_up_readings(q, v, a, *chained, *twists, carries, row_of, kernel_input(links), out)
     return out
 
 

@@ -8,6 +8,7 @@ Numba notices changes of the file that a compiled loop is in, not of this one: a
 from __future__ import annotations
 
 import numba
+import numpy as np
 
 #: Samples in a run.
 LANES = 16
@@ -27,6 +28,7 @@ cross = jit(lambda a, b: (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], 
 apply = jit(lambda r, x: (dot(r[0], x), dot(r[1], x), dot(r[2], x)))
 column = jit(lambda r, k: (r[0][k], r[1][k], r[2][k]))
 get = jit(lambda row, i, step=_L: (row[i], row[i + step], row[i + 2 * step]))
+get_one = jit(lambda x, i: (x[i], x[i + 1], x[i + 2]))
 get_rotation = jit(lambda row, s: (get(row, s), get(row, 3 * _L + s), get(row, 6 * _L + s)))
 
 
@@ -34,6 +36,33 @@ get_rotation = jit(lambda row, s: (get(row, s), get(row, 3 * _L + s), get(row, 6
 def put(row, i, x, step=_L):
     """Write a vector to ``row[i], row[i + step], row[i + 2 step]``."""
     row[i], row[i + step], row[i + 2 * step] = x
+
+
+@jit
+def put_one(x, i, value):
+    """Write a vector of a single sample."""
+    x[i], x[i + 1], x[i + 2] = value
+
+
+@jit
+def at_rest(rows, gravity):
+    """State of rows, of a root that is the last, at rest and accelerated against gravity."""
+    state = np.zeros((rows + 1, STATE))
+    for k in range(3):
+        state[rows, 4 * k * _L : (4 * k + 1) * _L] = 1.0
+        state[rows, A + k * _L : A + (k + 1) * _L] = -gravity[k]
+    return state
+
+
+@jit
+def set_motion(motion, q, v, a, first, count, by_momentum):
+    """Joint motion of a run of samples: q, sin, cos, q', q''; by momentum q' is none, see `bayesid.dynamics.regressors`."""
+    for s in range(count):
+        for i in range(q.shape[1]):
+            angle = q[first + s, i]
+            motion[i, s], motion[i, _L + s], motion[i, 2 * _L + s] = angle, np.sin(angle), np.cos(angle)
+            motion[i, 3 * _L + s] = 0.0 if by_momentum else v[first + s, i]
+            motion[i, 4 * _L + s] = a[first + s, i]
 
 
 @jit

@@ -12,14 +12,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesid.dynamics.newton_euler import add, apply, cross, dot, jit
+from bayesid.dynamics.newton_euler import add, apply, cross, dot, get_one, jit, put_one
 from bayesid.dynamics.regressors import Kernel
+from bayesid.robot.inertia import COLUMN, ROW
 
 # Where a row of the state, one a body, has its rotation, origin, spin, the spin's rate and the origin's acceleration.
 R, P, W, DW, A, STATE = 0, 9, 12, 15, 18, 21
-# Row and column of the moment of inertia that each of the parameters 4 to 9 is.
-_FIRST = np.array([0, 0, 1, 0, 1, 2])
-_SECOND = np.array([0, 1, 1, 2, 2, 2])
 
 
 def regressor_gradient(
@@ -50,15 +48,9 @@ def regressor_gradient(
     return out[0], out[1], out[2]
 
 
-_get = jit(lambda x, i: (x[i], x[i + 1], x[i + 2]))
-_rows = jit(lambda x: (_get(x, 0), _get(x, 3), _get(x, 6)))
+_rows = jit(lambda x: (get_one(x, 0), get_one(x, 3), get_one(x, 6)))
 _columns = jit(lambda x: ((x[0], x[3], x[6]), (x[1], x[4], x[7]), (x[2], x[5], x[8])))
 _triple = jit(lambda a, b, c: cross(a, cross(b, c)))
-
-
-@jit
-def _put(x, i, value):
-    x[i], x[i + 1], x[i + 2] = value
 
 
 @jit
@@ -80,7 +72,7 @@ def _plus_outer(x, a, b):
 @jit
 def _unit(k, x):
     """The inertia's basis matrix k times a vector."""
-    i, j = _FIRST[k], _SECOND[k]
+    i, j = ROW[k], COLUMN[k]
     y = np.zeros(3)
     y[i] = x[j]
     y[j] = x[i]
@@ -90,45 +82,45 @@ def _unit(k, x):
 @jit
 def _turned(turn, sine, cosine, k):
     """Row k of the rotation that a joint adds, and of its derivative with respect to the joint's position."""
-    still, c, s = _get(turn, 3 * k), _get(turn, 9 + 3 * k), _get(turn, 18 + 3 * k)
+    still, c, s = get_one(turn, 3 * k), get_one(turn, 9 + 3 * k), get_one(turn, 18 + 3 * k)
     return add(add(still, c, cosine), s, sine), add(add((0.0, 0.0, 0.0), c, -sine), s, cosine)
 
 
 @jit
 def _advance(up, here, q, v, a, turn, translation, axis, slides):
     """Advance one sample as `bayesid.dynamics.newton_euler.advance` does."""
-    r, w, dw, turns = _rows(up), _get(up, W), _get(up, DW), 1.0 - slides
+    r, w, dw, turns = _rows(up), get_one(up, W), get_one(up, DW), 1.0 - slides
     sine, cosine = np.sin(q), np.cos(q)
     rows = (_turned(turn, sine, cosine, 0)[0], _turned(turn, sine, cosine, 1)[0], _turned(turn, sine, cosine, 2)[0])
     for k in range(3):
-        _put(here, 3 * k, add(add(add((0.0, 0.0, 0.0), rows[0], r[k][0]), rows[1], r[k][1]), rows[2], r[k][2]))
-    offset = apply(r, add(_get(translation, 0), _get(axis, 0), slides * q))
-    d = apply(r, _get(axis, 0))
+        put_one(here, 3 * k, add(add(add((0.0, 0.0, 0.0), rows[0], r[k][0]), rows[1], r[k][1]), rows[2], r[k][2]))
+    offset = apply(r, add(get_one(translation, 0), get_one(axis, 0), slides * q))
+    d = apply(r, get_one(axis, 0))
     bend = cross(w, d)
-    _put(here, P, add(_get(up, P), offset))
-    _put(here, W, add(w, d, turns * v))
-    _put(here, DW, add(add(dw, d, turns * a), bend, turns * v))
+    put_one(here, P, add(get_one(up, P), offset))
+    put_one(here, W, add(w, d, turns * v))
+    put_one(here, DW, add(add(dw, d, turns * a), bend, turns * v))
     pull = add(cross(dw, offset), _triple(w, w, offset))
     pull = add(add(pull, d, slides * a), bend, 2.0 * slides * v)
-    _put(here, A, add(_get(up, A), pull))
+    put_one(here, A, add(get_one(up, A), pull))
 
 
 @jit
 def _advance_back(up, here_bar, up_bar, q, v, a, turn, translation, axis, slides):
     """Hand a row's derivatives on to its parent's; those of q, v, a are returned."""
-    r, w, dw, turns = _rows(up), _get(up, W), _get(up, DW), 1.0 - slides
+    r, w, dw, turns = _rows(up), get_one(up, W), get_one(up, DW), 1.0 - slides
     sine, cosine = np.sin(q), np.cos(q)
-    fixed, direction = _get(translation, 0), _get(axis, 0)
+    fixed, direction = get_one(translation, 0), get_one(axis, 0)
     arm = add(fixed, direction, slides * q)
     offset, d = apply(r, arm), apply(r, direction)
     bend = cross(w, d)
-    p_bar, w_bar, dw_bar, a_bar = _get(here_bar, P), _get(here_bar, W), _get(here_bar, DW), _get(here_bar, A)
+    p_bar, w_bar, dw_bar, a_bar = get_one(here_bar, P), get_one(here_bar, W), get_one(here_bar, DW), get_one(here_bar, A)
     # Rotation: R = R_up T(q).
     q_bar = 0.0
     for k in range(3):
         row, rate = _turned(turn, sine, cosine, k)
         for i in range(3):
-            here = _get(here_bar, 3 * i)
+            here = get_one(here_bar, 3 * i)
             up_bar[3 * i + k] += dot(here, row)
             q_bar += r[i][k] * dot(here, rate)
     bend_bar = add(add((0.0, 0.0, 0.0), dw_bar, turns * v), a_bar, 2.0 * slides * v)
@@ -151,36 +143,36 @@ def _advance_back(up, here_bar, up_bar, q, v, a, turn, translation, axis, slides
 @jit
 def _block(state, block):
     """As `bayesid.dynamics.newton_euler.body_columns`, for one sample: (10, 6)."""
-    r, c, p, acc = _rows(state), _columns(state), _get(state, P), _get(state, A)
-    w, dw = _get(state, W), _get(state, DW)
-    _put(block[0], 0, acc)
-    _put(block[0], 3, cross(p, acc))
+    r, c, p, acc = _rows(state), _columns(state), get_one(state, P), get_one(state, A)
+    w, dw = get_one(state, W), get_one(state, DW)
+    put_one(block[0], 0, acc)
+    put_one(block[0], 3, cross(p, acc))
     for k in range(3):
         arm = c[k]
         f = add(cross(dw, arm), _triple(w, w, arm))
-        _put(block[1 + k], 0, f)
-        _put(block[1 + k], 3, add(cross(p, f), cross(arm, acc)))
+        put_one(block[1 + k], 0, f)
+        put_one(block[1 + k], 3, add(cross(p, f), cross(arm, acc)))
     alpha = (dot(c[0], dw), dot(c[1], dw), dot(c[2], dw))
     beta = (dot(c[0], w), dot(c[1], w), dot(c[2], w))
     for k in range(6):
-        _put(block[4 + k], 0, (0.0, 0.0, 0.0))
-        _put(block[4 + k], 3, apply(r, add(_unit(k, alpha), cross(beta, _unit(k, beta)))))
+        put_one(block[4 + k], 0, (0.0, 0.0, 0.0))
+        put_one(block[4 + k], 3, apply(r, add(_unit(k, alpha), cross(beta, _unit(k, beta)))))
 
 
 @jit
 def _block_back(state, u, bar):
     """Derivatives of ``sum(u * block)`` for weights u (10, 6), added to a row's."""
-    r, c, p, acc = _rows(state), _columns(state), _get(state, P), _get(state, A)
-    w, dw = _get(state, W), _get(state, DW)
-    force, moment = _get(u[0], 0), _get(u[0], 3)
+    r, c, p, acc = _rows(state), _columns(state), get_one(state, P), get_one(state, A)
+    w, dw = get_one(state, W), get_one(state, DW)
+    force, moment = get_one(u[0], 0), get_one(u[0], 3)
     acc_bar = add(force, cross(moment, p))
     p_bar = cross(acc, moment)
     w_bar, dw_bar = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(3):
         arm = c[k]
         f = add(cross(dw, arm), _triple(w, w, arm))
-        moment = _get(u[1 + k], 3)
-        f_bar = add(_get(u[1 + k], 0), cross(moment, p))
+        moment = get_one(u[1 + k], 3)
+        f_bar = add(get_one(u[1 + k], 0), cross(moment, p))
         spun, spun_bar = cross(w, arm), cross(f_bar, w)
         p_bar = add(p_bar, cross(f, moment))
         acc_bar = add(acc_bar, cross(moment, arm))
@@ -194,7 +186,7 @@ def _block_back(state, u, bar):
     beta = (dot(c[0], w), dot(c[1], w), dot(c[2], w))
     alpha_bar, beta_bar = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(6):
-        moment = _get(u[4 + k], 3)
+        moment = get_one(u[4 + k], 3)
         inside = (dot(c[0], moment), dot(c[1], moment), dot(c[2], moment))
         spin = _unit(k, beta)
         _plus_outer(bar, moment, add(_unit(k, alpha), cross(beta, spin)))
@@ -230,9 +222,9 @@ def _gradient(
             _advance(state[parent[i]], state[i], *here, turn[i], translation[i], axis[i], slides[i])
         for c in range(channels):
             x = state[twist_row[c]]
-            angular = apply(_rows(x), _get(fixed_twist[c], 3))
-            _put(twist[c], 0, add(apply(_rows(x), _get(fixed_twist[c], 0)), cross(_get(x, P), angular)))
-            _put(twist[c], 3, angular)
+            angular = apply(_rows(x), get_one(fixed_twist[c], 3))
+            put_one(twist[c], 0, add(apply(_rows(x), get_one(fixed_twist[c], 0)), cross(get_one(x, P), angular)))
+            put_one(twist[c], 3, angular)
         for body in range(bodies):
             if start[body] == start[body + 1]:
                 continue
@@ -251,11 +243,11 @@ def _gradient(
             if twist_row[c] < 0:
                 continue
             x, x_bar = state[twist_row[c]], bar[twist_row[c]]
-            linear, angular = _get(fixed_twist[c], 0), _get(fixed_twist[c], 3)
-            moved = _get(twist_bar[c], 0)
+            linear, angular = get_one(fixed_twist[c], 0), get_one(fixed_twist[c], 3)
+            moved = get_one(twist_bar[c], 0)
             # (R l + p x R a; R a)
             _plus_outer(x_bar, moved, linear)
-            _plus_outer(x_bar, add(_get(twist_bar[c], 3), cross(moved, _get(x, P))), angular)
+            _plus_outer(x_bar, add(get_one(twist_bar[c], 3), cross(moved, get_one(x, P))), angular)
             _plus(x_bar, P, cross(apply(_rows(x), angular), moved))
         for k in range(bodies - 1, -1, -1):
             i = order[k]

@@ -24,13 +24,13 @@ from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.newton_euler import (
     BLOCK,
     LANES,
-    STATE,
-    A,
     advance,
+    at_rest,
     body_columns,
     body_wrench,
     jit,
     project,
+    set_motion,
     store,
     twist_and_rate,
     weight_columns,
@@ -62,18 +62,12 @@ class Kernel:
         root = parent < 0
         placement[root] = to_reference @ placement[root]
         translation[root] = (translation[root] - origin) @ to_reference.T
-        # Rodrigues: placement times turn(q) = turn[0] + cos(q) turn[1] + sin(q) turn[2].
-        along = axis[:, :, None] * axis[:, None, :]
-        turn = placement[:, None] @ np.stack([along, np.eye(3) - along, np.cross(axis[:, None], np.eye(3)).swapaxes(1, 2)], 1)
-        turn[slides] = 0.0
-        turn[slides, 0] = placement[slides]
-        axis = np.einsum("rij,rj->ri", placement, axis)
         # Twists of one unit entry fixed in the root pick a row of the block, without a product.
         pick = (channels.joint < 0) & (np.count_nonzero(channels.twist, axis=1) == 1) & (channels.twist.max(axis=1) == 1.0)
         by_body = np.argsort(columns // 10, kind="stable")
         tables = (
-            np.append(robot.order, np.arange(n, bodies)), parent, turn.reshape(bodies, 27), translation, axis,
-            slides.astype(float), channels.joint, _c(channels.twist), np.where(pick, np.argmax(channels.twist, axis=1), -1),
+            *chain(np.append(robot.order, np.arange(n, bodies)), parent, placement, translation, axis, slides),
+            channels.joint, _c(channels.twist), np.where(pick, np.argmax(channels.twist, axis=1), -1),
             channels.bodies, np.searchsorted(columns[by_body] // 10, np.arange(bodies + 1)), by_body, columns[by_body] % 10,
         )  # fmt: skip
         return cls(tables, to_reference @ robot.gravity, len(columns))
@@ -122,7 +116,8 @@ class Kernel:
         """
         q, v, a = map(_c, (positions, velocities, accelerations))
         out = np.empty((len(q), self._channels))
-        _readings(q, v, a, *self._chain(gravity), *self.tables[6:10], _c(links).reshape(-1, 10), out)
+        links = _c(links).reshape(-1, 10)
+        add_up_readings(q, v, a, *self._chain(gravity), *self.tables[6:10], np.arange(len(links)), links, out)
         return out
 
     @property
@@ -152,26 +147,17 @@ def _c(array: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(array, dtype=float)
 
 
-@jit
-def _at_rest(bodies, gravity, by_momentum):
-    """State of all bodies with the root, the last row (parent -1), at rest and accelerated against gravity."""
-    state = np.zeros((bodies + 1, STATE))
-    for s in range(LANES):
-        for k in range(3):
-            state[bodies, 4 * k * LANES + s] = 1.0
-            state[bodies, A + k * LANES + s] = 0.0 if by_momentum else -gravity[k]
-    return state
-
-
-@jit
-def _set_motion(motion, q, v, a, first, count, by_momentum):
-    """Joint motion of a run of samples: q, sin, cos, q', q''."""
-    for s in range(count):
-        for i in range(q.shape[1]):
-            angle = q[first + s, i]
-            motion[i, s], motion[i, LANES + s], motion[i, 2 * LANES + s] = angle, np.sin(angle), np.cos(angle)
-            motion[i, 3 * LANES + s] = 0.0 if by_momentum else v[first + s, i]
-            motion[i, 4 * LANES + s] = a[first + s, i]
+def chain(
+    order: np.ndarray, parent: np.ndarray, rotation: np.ndarray, translation: np.ndarray, axis: np.ndarray, slides: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Joints (r,) as the compiled loops take them, from their placements in their parents and their axes in their own frames."""
+    # Rodrigues: placement times turn(q) = turn[0] + cos(q) turn[1] + sin(q) turn[2].
+    along = axis[:, :, None] * axis[:, None, :]
+    turn = rotation[:, None] @ np.stack([along, np.eye(3) - along, np.cross(axis[:, None], np.eye(3)).swapaxes(1, 2)], 1)
+    turn[slides] = 0.0
+    turn[slides, 0] = rotation[slides]
+    axis = np.einsum("rij,rj->ri", rotation, axis)
+    return order, parent, turn.reshape(-1, 27), translation, axis, slides.astype(float)
 
 
 @jit
@@ -186,7 +172,7 @@ def _regressor(
     accelerations, without weight; so `advance` then has the spin for w' and the velocity for A.
     """
     bodies, channels, samples = len(parent), len(twist_row), len(q)
-    state, motion = _at_rest(bodies, gravity, by_momentum), np.zeros((bodies, 5 * LANES))
+    state, motion = at_rest(bodies, np.zeros(3) if by_momentum else gravity), np.zeros((bodies, 5 * LANES))
     block, weight, row, other = np.zeros(6 * BLOCK), np.zeros(6 * BLOCK), np.zeros(BLOCK), np.zeros(BLOCK)
     twist, twist_rate = np.zeros((channels, 6 * LANES)), np.zeros((channels, 6 * LANES))
     for c in range(channels):
@@ -197,7 +183,7 @@ def _regressor(
         count = min(LANES, samples - first)
         if not carries.all():
             out[first : first + count], rest[first : first + count] = 0.0, 0.0
-        _set_motion(motion, q, v, a, first, count, by_momentum)
+        set_motion(motion, q, v, a, first, count, by_momentum)
         for i in order:
             advance(state[parent[i]], state[i], motion[i], turn[i], translation[i], axis[i], slides[i])
         for c in range(channels):
@@ -227,21 +213,21 @@ def _regressor(
 
 
 @jit
-def _readings(
-    q, v, a, order, parent, turn, translation, axis, slides, gravity, twist_row, fixed_twist, pick, carries, links, out
+def add_up_readings(
+    q, v, a, order, parent, turn, translation, axis, slides, gravity, twist_row, fixed_twist, pick, carries, row_of, links, out
 ):
-    """Fill ``out`` with the readings of these links."""
-    bodies, channels, samples = len(parent), len(twist_row), len(q)
-    state, motion = _at_rest(bodies, gravity, False), np.zeros((bodies, 5 * LANES))
+    """Fill ``out`` with the readings of bodies, each of which moves with a row."""
+    bodies, channels, samples = len(links), len(twist_row), len(q)
+    state, motion = at_rest(len(parent), gravity), np.zeros((len(parent), 5 * LANES))
     wrench, total = np.zeros((bodies, 6 * LANES)), np.zeros(6 * LANES)
     twist, twist_rate = np.zeros(6 * LANES), np.zeros(6 * LANES)
     for first in range(0, samples, LANES):
         count = min(LANES, samples - first)
-        _set_motion(motion, q, v, a, first, count, False)
+        set_motion(motion, q, v, a, first, count, False)
         for i in order:
             advance(state[parent[i]], state[i], motion[i], turn[i], translation[i], axis[i], slides[i])
         for body in range(bodies):
-            body_wrench(state[body], links[body], wrench[body])
+            body_wrench(state[row_of[body]], links[body], wrench[body])
         for c in range(channels):
             total[:] = 0.0
             for body in range(bodies):

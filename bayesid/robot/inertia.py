@@ -11,17 +11,17 @@ import numpy as np
 PARAMETERS = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 UNITS = ("kg", "kg m", "kg m", "kg m") + ("kg m^2",) * 6
 
-# Where the ten parameters sit in the 3x3 inertia: I[row, column] = phi[4 + position].
-_ROW = np.array([0, 0, 1, 0, 1, 2])
-_COLUMN = np.array([0, 1, 1, 2, 2, 2])
+#: Where the ten parameters sit in the 3x3 inertia: I[row, column] = phi[4 + position].
+ROW = np.array([0, 0, 1, 0, 1, 2])
+COLUMN = np.array([0, 1, 1, 2, 2, 2])
 
 
 def inertia_matrix(parameters: np.ndarray) -> np.ndarray:
     """Inertia about the frame origin, (..., 3, 3) [kg m^2], of parameters (..., 10)."""
     parameters = np.asarray(parameters, float)
     matrix = np.zeros(parameters.shape[:-1] + (3, 3))
-    matrix[..., _ROW, _COLUMN] = parameters[..., 4:]
-    matrix[..., _COLUMN, _ROW] = parameters[..., 4:]
+    matrix[..., ROW, COLUMN] = parameters[..., 4:]
+    matrix[..., COLUMN, ROW] = parameters[..., 4:]
     return matrix
 
 
@@ -40,7 +40,7 @@ def from_mass_com_inertia(mass: float, com: np.ndarray, inertia_at_com: np.ndarr
     com = np.asarray(com, float)
     # Parallel axes: I_o = I_c + m (c'c 1 - c c').
     inertia = np.asarray(inertia_at_com, float) + mass * (com @ com * np.eye(3) - np.outer(com, com))
-    return np.concatenate([[mass], mass * com, inertia[_ROW, _COLUMN]])
+    return np.concatenate([[mass], mass * com, inertia[ROW, COLUMN]])
 
 
 def to_mass_com_inertia(parameters: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -73,7 +73,7 @@ def from_pseudo_inertia(pseudo: np.ndarray) -> np.ndarray:
     """Ten parameters (10,) of a pseudo-inertia (4, 4); the inverse of the above."""
     second = pseudo[:3, :3]
     inertia = np.trace(second) * np.eye(3) - second
-    return np.concatenate([[pseudo[3, 3]], pseudo[:3, 3], inertia[_ROW, _COLUMN]])
+    return np.concatenate([[pseudo[3, 3]], pseudo[:3, 3], inertia[ROW, COLUMN]])
 
 
 #: The pseudo-inertia is linear in the parameters: P = sum_k phi_k BASIS[k]; (10, 4, 4).

@@ -13,6 +13,7 @@ import itertools
 
 import numpy as np
 
+from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
 
 #: How far a body reaches beyond its joints, as a share of its length: counterweights and drives stand over.
@@ -46,9 +47,9 @@ def body_generators(robot: Robot) -> np.ndarray:
             columns[-1][10 * k : 10 * k + 4] = 1.0, *corner
         for d in _DIRECTIONS:
             # Mass spread along d has the second moment d d', and so the inertia |d|^2 - d d'.
-            inertia = size**2 * (np.eye(3) - np.outer(d, d) / (d @ d))
+            spread = size**2 * (np.eye(3) - np.outer(d, d) / (d @ d))
             columns.append(np.zeros(10 * count))
-            columns[-1][10 * k + 4 : 10 * k + 10] = inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+            columns[-1][10 * k + 4 : 10 * k + 10] = spread[inertia.ROW, inertia.COLUMN]
     return np.array(columns).T
 
 
@@ -57,16 +58,14 @@ def usual_bodies(robot: Robot) -> np.ndarray:
 
     A rod from joint to joint of 12 kg a metre: arms, legs and tools from 0.1 to 300 kg are within a factor of twenty of it.
     """
-    usual, out = typical_length(robot), np.zeros((len(robot.body_names), 10))
-    for k, body in enumerate(out):
+    usual, out = typical_length(robot), []
+    for k in range(len(robot.body_names)):
         ends = robot.rods[robot.rod_joint == robot.body_joint[k]].reshape(-1, 3)
         end = ends[np.argmax(np.linalg.norm(ends, axis=1))] if len(ends) else np.zeros(3)
         length = max(float(np.linalg.norm(end)), 0.5 * usual)
-        mass, centre = _MASS_BY_LENGTH * length, 0.5 * end
-        body[0], body[1:4] = mass, mass * centre
-        inertia = mass * (centre @ centre * np.eye(3) - np.outer(centre, centre)) + mass * length**2 / 30.0 * np.eye(3)
-        body[4:] = inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    return out
+        mass = _MASS_BY_LENGTH * length
+        out.append(inertia.from_mass_com_inertia(mass, 0.5 * end, mass * length**2 / 30.0 * np.eye(3)))
+    return np.array(out)
 
 
 def friction_columns(velocities: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
