@@ -35,7 +35,7 @@ class Prior:
         return f"<Prior of {len(self.bodies)} bodies{', which can exist only' if self.physical else ''}>"
 
     @classmethod
-    def nominal(cls, links: np.ndarray, rel_std: float, *, physical: bool = True) -> Prior:
+    def nominal(cls, links: np.ndarray, rel_std: float) -> Prior:
         """Bodies near nominal ones, by the constant pull-back metric [Lee2020]_.
 
         ``precision = 2 M / rel_std^2`` with M of `bayesid.robot.inertia.pullback_metric`: with ``P0 = L L'`` the nominal
@@ -49,8 +49,6 @@ class Prior:
             Nominal parameters, ten a body (b, 10) or (10 b,).
         rel_std
             Relative standard deviation, above 0.
-        physical
-            See the class.
 
         Raises
         ------
@@ -68,10 +66,10 @@ class Prior:
             part = slice(10 * k, 10 * k + 10)
             precision[part, part] = 2.0 / rel_std**2 * inertia.pullback_metric(body)
         bodies = tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(links)))
-        return cls(links.ravel(), precision, bodies, physical)
+        return cls(links.ravel(), precision, bodies)
 
     @classmethod
-    def warped(cls, links: np.ndarray, rel_std: float, *, physical: bool = True) -> Prior:
+    def warped(cls, links: np.ndarray, rel_std: float) -> Prior:
         """Bodies that are nominal ones scaled, shifted and warped.
 
         What a CAD model gets wrong is a body's mass, where its middle is and how it is spread, by a share of its
@@ -87,15 +85,13 @@ class Prior:
             Nominal parameters, ten a body (b, 10) or (10 b,).
         rel_std
             The share s, above 0; the relative standard deviation of every mass.
-        physical
-            See the class.
 
         Raises
         ------
         InputError
             ``rel_std`` is not a positive number, or the links are not ten a body.
         """
-        plain = cls.nominal(links, rel_std, physical=physical)
+        plain = cls.nominal(links, rel_std)
         precision = np.zeros_like(plain.precision)
         for body in plain.bodies:
             covariance = _warps(plain.mean[list(body)], rel_std)
@@ -103,7 +99,7 @@ class Prior:
             covariance += 1e-3 * np.linalg.inv(plain.precision[np.ix_(body, body)])
             size = np.sqrt(np.diag(covariance))
             precision[np.ix_(body, body)] = np.linalg.inv(covariance / np.outer(size, size)) / np.outer(size, size)
-        return cls(plain.mean, precision, plain.bodies, physical)
+        return replace(plain, precision=precision)
 
     def widened(self, factor: float) -> Prior:
         """The same with all standard deviations multiplied by a factor."""

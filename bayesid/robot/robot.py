@@ -21,10 +21,6 @@ from bayesid.errors import InputError
 from bayesid.robot import inertia
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
 
-# Where the URDF states no limit: half a turn to both sides, and speeds of a small arm.
-_RANGE = {False: np.pi / 2, True: 0.25}
-_SPEED = {False: 1.5, True: 0.3}
-
 
 def fingerprint(holder: Any) -> bytes:
     """Digest (16 bytes) of all fields of a dataclass instance: the same for equal arrays and texts, wherever they are kept."""
@@ -65,7 +61,7 @@ def locate_sensor(urdf: Path, model, name: str, index, parent, anchor, frame) ->
     n = len(parent)
     if name in index:
         i = index[name]
-        return SensorPlace(i, pin.SE3.Identity(), np.array([_descends(parent, k, i) for k in range(n)]), None)
+        return SensorPlace(i, pin.SE3.Identity(), _movers(parent)[i], None)
     # The sensor sits in a fixed or locked joint: all frames beyond it, through fixed or locked joints, are
     # its far part; moving joints beyond it keep their own bodies.
     here = found[0]
@@ -86,7 +82,7 @@ def locate_sensor(urdf: Path, model, name: str, index, parent, anchor, frame) ->
         if anchor[j] == mover:
             far = far + (placement.inverse() * frame[j]).act(model.inertias[j])
         else:
-            bodies[[k for k in range(n) if _descends(parent, k, anchor[j])]] = True
+            bodies[:n] |= _movers(parent)[anchor[j]]
     bodies[n:] = True
     return SensorPlace(mover, placement, bodies, far)
 
@@ -115,12 +111,15 @@ def joint_rods(model, anchor, frame) -> tuple[np.ndarray, np.ndarray]:
     return np.array(joint, int), np.array(ends, float).reshape(-1, 2, 3)
 
 
-def _descends(parent: np.ndarray, joint: int, ancestor: int) -> bool:
-    while joint >= 0:
-        if joint == ancestor:
-            return True
-        joint = int(parent[joint])
-    return False
+def _movers(parent: np.ndarray) -> np.ndarray:
+    """Whether joint i moves joint k, as it does itself (n, n)."""
+    table = np.zeros((len(parent), len(parent)), bool)
+    for k in range(len(parent)):
+        joint = k
+        while joint >= 0:
+            table[joint, k] = True
+            joint = int(parent[joint])
+    return table
 
 
 def _frame_descends(model, frame: int, ancestor: int) -> bool:
@@ -228,12 +227,7 @@ class Robot:
     @property
     def moves_with(self) -> np.ndarray:
         """Whether joint i moves body k (n, b)."""
-        table = np.zeros((self.n, len(self.body_names)), bool)
-        for body, joint in enumerate(self.body_joint):
-            while joint >= 0:
-                table[joint, body] = True
-                joint = self.parent[joint]
-        return table
+        return _movers(self.parent)[:, self.body_joint]
 
     @cached_property
     def fingerprint(self) -> bytes:
@@ -243,13 +237,7 @@ class Robot:
     @property
     def order(self) -> np.ndarray:
         """Joint indices with every parent before its children (n,)."""
-        depth = np.zeros(self.n, int)
-        for i in range(self.n):
-            j = i
-            while self.parent[j] >= 0:
-                j = self.parent[j]
-                depth[i] += 1
-        return np.argsort(depth, kind="stable")
+        return np.argsort(_movers(self.parent).sum(axis=0), kind="stable")
 
 
 def load_robot(
@@ -324,21 +312,15 @@ def load_robot(
         sensor = locate_sensor(urdf, model, sensor_joint, index, parent, anchor, frame)
     names, body_joint = tuple(joints), np.arange(n)
     body_rotation, body_translation = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+    far = np.zeros(10) if sensor.far is None else sensor.placement.act(sensor.far).toDynamicParameters()
     if sensor.far is not None and sensor.parent >= 0:
-        far_in_joint = sensor.placement.act(sensor.far).toDynamicParameters()
-        nominal[sensor.parent] -= far_in_joint
+        nominal[sensor.parent] -= far
         nominal = np.vstack([nominal, sensor.far.toDynamicParameters()])
         names, body_joint = (*names, str(sensor_joint)), np.append(body_joint, sensor.parent)
         body_rotation = np.concatenate([body_rotation, sensor.placement.rotation[None]])
         body_translation = np.vstack([body_translation, sensor.placement.translation])
-    static_nominal = static.toDynamicParameters()
-    if sensor_joint is not None:
-        # Only what hangs on the sensor's far side loads it; on the root that part does not move.
-        static_nominal = (
-            sensor.placement.act(sensor.far).toDynamicParameters()
-            if sensor.far is not None and sensor.parent < 0
-            else np.zeros(10)
-        )
+    # Only what hangs on the far side of a sensor in a joint loads it; on the root that part does not move.
+    static_nominal = static.toDynamicParameters() if sensor_joint is None else far if sensor.parent < 0 else np.zeros(10)
     rod_joint, rods = joint_rods(model, anchor, frame)
     arrays = dict(
         rod_joint=rod_joint, rods=rods,
@@ -381,17 +363,10 @@ def _axis(urdf: Path, joint, name: str) -> tuple[np.ndarray, bool]:
             "only revolute, continuous, prismatic and fixed joints are supported"
         )
     data = joint.createData()
-    joint.calc(data, pin.neutral(_single(joint)) if joint.nq != 1 else np.zeros(1))
+    joint.calc(data, np.zeros(1) if joint.nq == 1 else np.array([1.0, 0.0]))  # at zero: its angle, or cosine and sine
     subspace = np.asarray(data.S).reshape(6)
     slides = not subspace[3:].any()
     return (subspace[:3] if slides else subspace[3:]), slides
-
-
-def _single(joint):
-    """Model with this joint alone, to ask Pinocchio for its neutral position."""
-    model = pin.Model()
-    model.addJoint(0, joint, pin.SE3.Identity(), "joint")
-    return model
 
 
 def _motion(direction: np.ndarray, slides: bool, position: float):
@@ -412,8 +387,7 @@ def _limits(model, j: int) -> tuple[float, float, float, float]:
 
 def motion_limits(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Lower and upper positions and the largest speed (n,), all finite: those of a small arm where none are stated."""
-    reach = np.array([_RANGE[bool(p)] for p in robot.prismatic])
-    speed = np.array([_SPEED[bool(p)] for p in robot.prismatic])
+    reach, speed = np.where(robot.prismatic, 0.25, np.pi / 2), np.where(robot.prismatic, 0.3, 1.5)
     free = ~(np.isfinite(robot.lower) & np.isfinite(robot.upper))
     fastest = np.where(np.isfinite(robot.velocity_limit), robot.velocity_limit, speed)
     return np.where(free, -reach, robot.lower), np.where(free, reach, robot.upper), fastest

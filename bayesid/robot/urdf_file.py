@@ -265,11 +265,9 @@ def _check_numbers(element: ET.Element, joint: UrdfJoint, source: str) -> None:
             raise InputError(f"axis {axis.get('xyz')} has no direction", file=source, key=place, value=given,
                              remedy="write a unit vector")  # fmt: skip
     limit = element.find("limit")
-    if joint.kind not in ("revolute", "prismatic", "continuous"):
+    if joint.kind not in _KINDS[:3] or (limit is None and joint.kind == "continuous"):
         return
     if limit is None:
-        if joint.kind == "continuous":
-            return
         raise InputError(f"is {joint.kind} and has no <limit>", file=source, key=place,
                          remedy="write lower, upper, velocity and effort")  # fmt: skip
     values = {}

@@ -160,7 +160,7 @@ def test_sample_says_a_conflict_first(tmp_path):
 
 def test_a_prior_is_widened_by_what_makes_the_data_most_probable():
     """Against a scan of the normal density over the factor; links are drawn four times as far off as is stated."""
-    rng, prior = np.random.default_rng(8), Prior.nominal(BODIES, 0.05, physical=False)
+    rng, prior = np.random.default_rng(8), Prior.nominal(BODIES, 0.05)
     truth = prior.mean + 4.0 * (drawn(prior, rng) - prior.mean)
     regression, matrix = rows(truth, rng, std=0.05)
     check = against_prior(regression, prior, 0.05)

@@ -15,7 +15,7 @@ import hashlib
 import json
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -128,7 +128,7 @@ def setup(name: str) -> Setup:
     rows = np.concatenate([rigid, effects], axis=2) / std[:, None]
     move = dynamics_regressor(robot, torque, *(rng.normal(size=(3, 20, robot.n)))).reshape(-1, robot.nominal.size)
     return Setup(
-        case, base, rows, Prior.nominal(robot.nominal, case.trust, physical=case.engine == "hmc"), names,
+        case, base, rows, replace(Prior.nominal(robot.nominal, case.trust), physical=case.engine == "hmc"), names,
         np.full(len(names), case.channel == "torque"), np.full(len(names), size), move,
     )  # fmt: skip
 
