@@ -13,7 +13,7 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.motion_checks import REPORTED, Timing
 from bayesid.results.files import ShownResult
 from bayesid.section import ShownTable
-from bayesid.validation.mistakes.mistake import Mistake
+from bayesid.validation.mistakes.candidates import Mistake
 from bayesid.validation.own_fit import left_dict, left_text
 from bayesid.validation.prediction import Prediction
 

@@ -23,7 +23,7 @@ from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
 from bayesid.validation.mistakes.candidates import candidates, of_wrench
 from bayesid.validation.mistakes.evidence import Change, Explainer
-from bayesid.validation.mistakes.orders import orders
+from bayesid.validation.mistakes.from_data import orders
 from bayesid.validation.mistakes.plausible import body_generators
 from bayesid.validation.mistakes.samples import low_passed
 from bayesid.validation.mistakes.search import find_mistakes

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -32,6 +34,31 @@ class Candidate:
     change: Change  # what undoes it
     touched: tuple[int, ...] = ()  # joints that it is about; empty: the whole robot
     odds: float = 0.0  # log odds beside a usual single mistake, which are 0 [nats]
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """What seems to be wrong with the data, and what undoing it would bring."""
+
+    #: Which mistake, as `Candidate` names it.
+    name: str
+    where: str
+    text: str  # one line: what seems wrong, by how much the fit improves, what to do
+    channel: str  # ``wrench`` or ``torque``: in which readings it shows
+    evidence: float  # log odds against the data as they are [nats]; infinite for readings of an impossible size
+    #: Residual in each column, rms, as the data are and with the mistake undone (c,) [unit of the column].
+    before: tuple[float, ...] = ()
+    after: tuple[float, ...] = ()
+    alternatives: tuple[tuple[str, str], ...] = ()  # name and place of other mistakes that would repair the fit as well
+
+    def to_dict(self) -> dict[str, Any]:
+        """An entry of ``mistakes`` in ``check.json``."""
+        return {
+            "name": self.name, "where": self.where, "text": self.text, "channel": self.channel,
+            "evidence_nats": self.evidence if math.isfinite(self.evidence) else None,
+            "residual_before": list(self.before), "residual_after": list(self.after),
+            "alternatives": [{"name": name, "where": where} for name, where in self.alternatives],
+        }  # fmt: skip
 
 
 def of_gravity(gravity: np.ndarray) -> list[Candidate]:
@@ -176,30 +203,32 @@ def in_words(words: Sequence[str]) -> str:
 
 def of_wrench(sensor: Sensor) -> list[Candidate]:
     """Signs, order, units and frame of a wrench, sensor frame, moments about the sensor origin."""
-    same, zero = np.eye(3), np.zeros((3, 3))
+    forces, moments, both = (0, 1, 2), (3, 4, 5), np.eye(2)
     rotation = pin.rpy.rpyToMatrix(*map(float, sensor.rpy))
     shift = rotation.T @ sensor.translation
     table = [
         ("wrench_sign", "", "the wrench seems to be that of the robot on the sensor",
          "change the sign of fx ... mz: the table holds what the sensor applies to the robot", -np.eye(6)),
-        ("force_sign", "", "the forces seem to have the opposite sign", "change the sign of fx, fy and fz", _blocks(-same, same)),
-        ("moment_sign", "", "the moments seem to have the opposite sign", "change the sign of mx, my, mz", _blocks(same, -same)),
+        ("force_sign", "", "the forces seem to have the opposite sign",
+         "change the sign of fx, fy and fz", scaled(6, forces, -1.0)),
+        ("moment_sign", "", "the moments seem to have the opposite sign",
+         "change the sign of mx, my, mz", scaled(6, moments, -1.0)),
         ("forces_moments", "", "forces and moments seem to be exchanged",
-         "write forces in fx, fy, fz and moments in mx, my, mz", np.block([[zero, same], [same, zero]])),
+         "write forces in fx, fy, fz and moments in mx, my, mz", np.roll(np.eye(6), 3, axis=0)),
     ]  # fmt: skip
     for unit, factor in (("N mm", 1e-3), ("kN m", 1e3), ("kgf m", _KILOGRAM_FORCE)):
         says = f"the moments seem to be in {unit}"
-        table.append(("moment_unit", unit, says, "write mx, my and mz in N m", scaled(6, (3, 4, 5), factor)))
+        table.append(("moment_unit", unit, says, "write mx, my and mz in N m", scaled(6, moments, factor)))
     for unit, factor in (("kN", 1e3), ("kgf", _KILOGRAM_FORCE)):
-        table.append(("force_unit", unit, f"the forces seem to be in {unit}", "write them in N", scaled(6, (0, 1, 2), factor)))
+        table.append(("force_unit", unit, f"the forces seem to be in {unit}", "write them in N", scaled(6, forces, factor)))
     if np.abs(rotation - rotation.T).max() > 1e-3:
         says = "the sensor's rotation seems to be the inverse of the stated one"
         remedy = "write the orientation of the sensor in its link ([sensor] rpy), not that of the link in the sensor"
-        table.append(("sensor_rotation", "transposed", says, remedy, _blocks(rotation.T @ rotation.T, rotation.T @ rotation.T)))
-    if np.abs(rotation - same).max() > 1e-3:
+        table.append(("sensor_rotation", "transposed", says, remedy, np.kron(both, rotation.T @ rotation.T)))
+    if np.abs(rotation - np.eye(3)).max() > 1e-3:
         says = "the wrench seems to be in the axes of the sensor's link already"
         remedy = "write [sensor] rpy = [0, 0, 0], or readings in the sensor's own frame"
-        table.append(("wrench_frame", "link", says, remedy, _blocks(rotation.T, rotation.T)))
+        table.append(("wrench_frame", "link", says, remedy, np.kron(both, rotation.T)))
     if np.linalg.norm(shift) > 1e-3:
         says = "the moments seem to be about the origin of the sensor's link, not about the sensor's"
         remedy = "write [sensor] translation = [0, 0, 0], or moments about the sensor's origin"
@@ -222,7 +251,7 @@ def _other_axes() -> Iterator[tuple[str, str, str, str, np.ndarray]]:
             turned = np.linalg.det(matrix) > 0.0
             remedy = "turn the sensor ([sensor] rpy) or reorder the columns" if turned else "reorder fx ... mz and their signs"
             says = f"the sensor's axes x, y, z seem to be the recorded {recorded}"
-            yield "sensor_axes", recorded, says, remedy, _blocks(matrix, matrix)
+            yield "sensor_axes", recorded, says, remedy, np.kron(np.eye(2), matrix)
 
 
 def in_base_axes(rotations: np.ndarray) -> list[Candidate]:
@@ -281,29 +310,18 @@ def scaled(count: int, place: Sequence[int], factor: float) -> np.ndarray:
     return out
 
 
-def _blocks(forces: np.ndarray, moments: np.ndarray) -> np.ndarray:
-    out = np.zeros((6, 6))
-    out[:3, :3], out[3:, 3:] = forces, moments
-    return out
-
-
 def _shifted(shift: np.ndarray) -> np.ndarray:
     """Moments about a point that is shifted by this (3,) in the sensor's axes: ``m - shift x f``."""
     out = np.eye(6)
-    out[3:, :3] = -_cross(shift)
+    out[3:, :3] = -pin.skew(shift)
     return out
-
-
-def _cross(vector: np.ndarray) -> np.ndarray:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def candidates(experiment: Experiment, channel: str, samples: Samples) -> list[Candidate]:
     """Every mistake of signs, units and frames that readings of a channel could have, the usual ones first.
 
-    Orders of columns, scales of single joints and a tilted base are found from the data (`bayesid.validation.mistakes.orders`,
-    `bayesid.validation.mistakes.scale`, `bayesid.validation.mistakes.tilt`).
+    Orders of columns, scales of single joints and a tilted base are found from the data (`bayesid.validation.mistakes.from_data`,
+    `bayesid.validation.mistakes.scale`).
     """
     robot = experiment.robot
     names = robot.joint_names

@@ -10,7 +10,8 @@ from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.readings import has_readings, make_channels, readings_of
 from bayesid.signals.smoothing import smooth
-from bayesid.validation.mistakes.mistake import Mistake
+from bayesid.validation.mistakes.candidates import Mistake
+from bayesid.validation.mistakes.evidence import WORSE, independent_samples
 from bayesid.validation.mistakes.plausible import friction_columns, offset_columns
 from bayesid.validation.mistakes.samples import BANDWIDTH
 
@@ -19,8 +20,8 @@ _SHARE = 0.1  # of the shortest piece, at most
 _SHORTEST, _LONG = 2.0, 0.25  # of pieces [s], and as a share of the longest
 _SAMPLES, _SMOOTHED = 400, 20_000
 _MARGIN = 0.75 / BANDWIDTH  # ends of a spline are loose [s]
-#: Log odds against no delay, and gain of a sample, that it needs: as any other mistake (`bayesid.validation.mistakes.search`).
-_NEEDED, _WORSE = 13.8, float(np.log(4.0 / 3.0))
+#: Log odds against no delay that it needs: as any other mistake (`bayesid.validation.mistakes.search`).
+_NEEDED = 13.8
 _EXPLAINED = 0.005  # share of its variation to which a channel is explained at most
 
 
@@ -114,22 +115,8 @@ def _profile(delays: np.ndarray, design: np.ndarray, read: np.ndarray, none: int
         left = np.sqrt(np.mean(residual[:, :, none] ** 2, axis=0))
     every = np.sqrt(np.mean(residual**2, axis=0))
     likelihood = -np.log(np.maximum(every, floor[:, None])).sum(axis=0)
-    best = int(np.argmax(likelihood))
-    return Profile(delays, every, likelihood - likelihood[none], _independent(residual[:, :, best]))
-
-
-def _independent(residual: np.ndarray) -> float:
-    """How many independent samples residuals (N, c) are worth, by how long they stay alike."""
-    counts = []
-    for column in residual.T - residual.mean(axis=0)[:, None]:
-        power, time = float(column @ column), 1.0
-        for lag in range(1, len(column)):
-            rho = float(column[lag:] @ column[:-lag]) / max(power, 1e-300)
-            if rho <= 0.0:
-                break
-            time += 2.0 * rho
-        counts.append(len(column) / time)
-    return float(np.median(counts))
+    worth = independent_samples(residual[:, :, int(np.argmax(likelihood))], np.zeros(count))
+    return Profile(delays, every, likelihood - likelihood[none], worth)
 
 
 def delayed(experiment: Experiment, channel: str) -> Mistake | None:
@@ -140,7 +127,7 @@ def delayed(experiment: Experiment, channel: str) -> Mistake | None:
     best, none = int(np.argmax(profile.gained)), len(profile.delays) // 2
     gained = float(profile.gained[best])
     found = profile.best()
-    if found is None or gained < _WORSE or profile.worth * gained < _NEEDED:
+    if found is None or gained < WORSE or profile.worth * gained < _NEEDED:
         return None
     delay, std = found
     channels = make_channels(experiment, channel)

@@ -83,7 +83,8 @@ class Explainer:
         self.torque = channels.names[0].startswith("tau")
         others = np.eye(5 * robot.n if self.torque else 2 * len(np.unique(samples.motion)) * len(channels))
         families = [body_generators(robot)]
-        if robot.nominal[:, 0].sum() > 0.0:  # each nominal body times a factor: far fewer numbers, where the URDF is good
+        self.has_masses = robot.nominal[:, 0].sum() > 0.0
+        if self.has_masses:  # each nominal body times a factor: far fewer numbers, where the URDF is good
             families.append(np.asarray(block_diag(*robot.nominal[:, :, None])))
         self._families = [np.asarray(block_diag(bodies, others)) for bodies in families]
         variation = np.sqrt(np.mean((samples.readings - samples.readings.mean(axis=0)) ** 2, axis=0))
@@ -174,9 +175,7 @@ class Explainer:
 
     def alone_by_nominal(self, change: Change) -> np.ndarray:
         """The same by nominal bodies (usual ones where the URDF has no masses), of any size and sign in each column (c, c)."""
-        nominal = self.robot.nominal
-        bodies = nominal if nominal[:, 0].sum() > 0.0 else usual_bodies(self.robot)
-        columns = self._design(change).columns
+        bodies, columns = self.bodies, self._design(change).columns
         rigid, beside = columns[:, :, : bodies.size] @ bodies.ravel(), columns[:, :, bodies.size :]
         out = np.empty((columns.shape[1],) * 2)
         for j in range(len(out)):
@@ -186,6 +185,11 @@ class Explainer:
             left = self.samples.readings - vectors @ (vectors.T @ self.samples.readings)
             out[:, j] = np.sqrt(np.mean(left**2, axis=0))
         return out
+
+    @cached_property
+    def bodies(self) -> np.ndarray:
+        """The nominal bodies, or usual ones where the URDF has no masses (b, 10)."""
+        return self.robot.nominal if self.has_masses else usual_bodies(self.robot)
 
     def rigid(self, bodies: np.ndarray) -> np.ndarray:
         """What bodies of these parameters (10 b,) or (b, 10) let the channels read, without friction and offsets (N, c)."""
@@ -278,21 +282,20 @@ class Explainer:
         """Of one sample, by what is left of each column (c,)."""
         return -float(np.log(np.maximum(left, self.floor)).sum())
 
-    def independent_samples(self, fit: Fit) -> float:
-        """How many independent samples the residual of a fit is worth: model error is correlated in time."""
-        part, counts = self.samples.part, []
-        for column in fit.residual.T:
-            column = column - column.mean()
-            power, lag, time = float(column @ column), 1, 1.0
-            while lag < len(column) and power > 0.0:
-                same = part[lag:] == part[:-lag]
-                rho = float(column[lag:][same] @ column[:-lag][same]) / power
-                if rho <= 0.0:
-                    break
-                time += 2.0 * rho
-                lag += 1
-            counts.append(len(column) / time)
-        return float(np.median(counts))
+
+def independent_samples(residual: np.ndarray, part: np.ndarray) -> float:
+    """How many independent samples residuals (N, c) of gap-free parts (N,) are worth: model error is correlated in time."""
+    counts = []
+    for column in (residual - residual.mean(axis=0)).T:
+        power, time = max(float(column @ column), 1e-300), 1.0
+        for lag in range(1, len(column)):
+            same = part[lag:] == part[:-lag]
+            rho = float(column[lag:][same] @ column[:-lag][same]) / power
+            if rho <= 0.0:
+                break
+            time += 2.0 * rho
+        counts.append(len(column) / time)
+    return float(np.median(counts))
 
 
 @dataclass(eq=False)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import nnls
 
-from bayesid.validation.mistakes.candidates import Candidate, in_words, signs
+from bayesid.validation.mistakes.candidates import Candidate, Mistake, in_words, signs
 from bayesid.validation.mistakes.evidence import AS_RECORDED, EXPLAINED, WORSE, Change, Explainer
-from bayesid.validation.mistakes.mistake import Mistake
 from bayesid.validation.mistakes.plausible import usual_bodies
 
 #: Masses of a stated model are right to this factor.
@@ -25,7 +24,7 @@ _STEPS = 2  # of fitting bodies to readings of these sizes, and sizes to those o
 
 def by_joint(explainer: Explainer, worth: float) -> list[Candidate]:
     """Torques of which each has a sign or a scale of its own: those of motor currents, or of the motors' side of unlike gears."""
-    n, bodies = len(explainer.channels), _bodies(explainer)
+    n, bodies = len(explainer.channels), explainer.bodies
     told, shown = _sizes(explainer, bodies)
     out = []
     negative = np.flatnonzero(told < 0.0)
@@ -58,10 +57,9 @@ def implausible_size(explainer: Explainer, change: Change = AS_RECORDED) -> list
     A mistake is named where both are off to the same side: nominal bodies alone may be placeholders. ``change`` is that of
     signs, which makes the readings right but for their size.
     """
-    stated, usual = _bodies(explainer), usual_bodies(explainer.robot)
+    stated, usual = explainer.bodies, usual_bodies(explainer.robot)
     guessed, factor = explainer.size_beside(usual, change), explainer.size_beside(stated, change)
-    has_masses = explainer.robot.nominal[:, 0].sum() > 0.0
-    allowed = _NOMINAL if has_masses else _GUESSED
+    allowed = _NOMINAL if explainer.has_masses else _GUESSED
     if guessed is None or factor is None or 1.0 / allowed < factor < allowed:
         return []
     if np.sign(np.log(guessed)) != np.sign(np.log(factor)) or abs(np.log(guessed)) < np.log(_NOMINAL):
@@ -95,11 +93,10 @@ def implausible_size(explainer: Explainer, change: Change = AS_RECORDED) -> list
 
 def weight_carried(explainer: Explainer) -> list[Mistake]:
     """Joints that carry a constant weight, as of a lift, which is not in their readings: no fit with an offset misses it."""
-    nominal, out = explainer.robot.nominal, []
-    if not explainer.torque or nominal[:, 0].sum() == 0.0:
-        return out
-    weight, read = explainer.nominal_weight, explainer.samples.readings.mean(axis=0)
-    sizes, shown = _sizes(explainer, nominal)
+    if not explainer.torque or not explainer.has_masses:
+        return []
+    out, weight, read = [], explainer.nominal_weight, explainer.samples.readings.mean(axis=0)
+    sizes, shown = _sizes(explainer, explainer.bodies)
     usual = float(np.median(np.abs(sizes[shown]))) if shown.any() else 1.0
     for k, column in enumerate(explainer.channels.names):
         mean, unit = weight[:, k].mean(), explainer.channels.units[k]
@@ -116,14 +113,8 @@ def weight_carried(explainer: Explainer) -> list[Mistake]:
     return out
 
 
-def _bodies(explainer: Explainer) -> np.ndarray:
-    """The nominal bodies, or usual ones where the URDF has no masses (b, 10)."""
-    nominal = explainer.robot.nominal
-    return nominal if nominal[:, 0].sum() > 0.0 else usual_bodies(explainer.robot)
-
-
 def _beside(explainer: Explainer) -> str:
-    return "the URDF's masses need" if explainer.robot.nominal[:, 0].sum() > 0.0 else "links of these lengths usually need"
+    return "the URDF's masses need" if explainer.has_masses else "links of these lengths usually need"
 
 
 def _sizes(explainer: Explainer, bodies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,14 +12,12 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import make_channels
 from bayesid.robot.robot import Robot
-from bayesid.validation.mistakes.candidates import Candidate, candidates, link_placement, signs
+from bayesid.validation.mistakes.candidates import Candidate, Mistake, candidates, link_placement, signs
 from bayesid.validation.mistakes.delay import delayed
-from bayesid.validation.mistakes.evidence import AS_RECORDED, EXPLAINED, WORSE, Explainer, Fit
-from bayesid.validation.mistakes.mistake import Mistake
-from bayesid.validation.mistakes.orders import orders
+from bayesid.validation.mistakes.evidence import AS_RECORDED, EXPLAINED, WORSE, Explainer, Fit, independent_samples
+from bayesid.validation.mistakes.from_data import orders, tilted
 from bayesid.validation.mistakes.samples import low_passed
 from bayesid.validation.mistakes.scale import by_joint, implausible_size, weight_carried
-from bayesid.validation.mistakes.tilt import tilted
 
 _LISTED = 3
 #: A link that is this far away in one of two poses is told from the other by eye [m].
@@ -153,7 +151,7 @@ class Search:
     def __init__(self, explainer: Explainer) -> None:
         self.explainer = explainer
         unchanged = explainer.fit()
-        self.worth = explainer.independent_samples(unchanged[0])
+        self.worth = independent_samples(unchanged[0].residual, explainer.samples.part)
         self.null = max(unchanged, key=self._score)
         self.needed = max(NEEDED, self.worth * WORSE)
         stated, n = unchanged[-1], explainer.robot.n
