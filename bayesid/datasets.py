@@ -190,44 +190,17 @@ _SETS = [
 
 #: By folder: the recording's file, checksum and length.
 _UR10E_FILES = {
-    "before": (
-        "ur-20_01_31-unload.csv",
-        "513feea3e662364fad89214d5ff49e6ef96e02d56f85b4de57a408fc2563cb1c",
-        620666,
-    ),
-    "after-load": (
-        "ur-20_01_31-load.csv",
-        "5abab622cdbd53db78fe3ec72485535c55ec5db412a179ae26bb9da6bea5441c",
-        684549,
-    ),
-    "feb05-20s-12h": (
-        "ur-20_02_05-20sec_12harm.csv",
-        "642b590251f09df3151dc5dcc406748aacc248cba1d39ed80035a806824f159e",
-        731098,
-    ),
-    "feb05-20s-8h": (
-        "ur-20_02_05-20sec_8harm.csv",
-        "5456696773b5e3e12510640aab6049c65f4259c99880951bd71e1c74f8cb44e5",
-        593204,
-    ),
-    "feb06-20s-10h": (
-        "ur-20_02_06-20sec_10harm.csv",
-        "8959c47c991221e88a467a584c756a2f0f17c8268a291437709513cc112739c8",
-        797486,
-    ),
-    "feb06-20s-5h": (
-        "ur-20_02_06-20sec_5harm.csv",
-        "fd4d10b39211a5ad1d2f67b62bd3e66b01a0275d518fd2fd2f0876ea520903a4",
-        690095,
-    ),
+    "before": ("ur-20_01_31-unload.csv", "513feea3e662364fad89214d5ff49e6ef96e02d56f85b4de57a408fc2563cb1c", 620666),
+    "after-load": ("ur-20_01_31-load.csv", "5abab622cdbd53db78fe3ec72485535c55ec5db412a179ae26bb9da6bea5441c", 684549),
+    "feb05-20s-12h": ("ur-20_02_05-20sec_12harm.csv", "642b590251f09df3151dc5dcc406748aacc248cba1d39ed80035a806824f159e", 731098),
+    "feb05-20s-8h": ("ur-20_02_05-20sec_8harm.csv", "5456696773b5e3e12510640aab6049c65f4259c99880951bd71e1c74f8cb44e5", 593204),
+    "feb06-20s-10h": ("ur-20_02_06-20sec_10harm.csv", "8959c47c991221e88a467a584c756a2f0f17c8268a291437709513cc112739c8", 797486),
+    "feb06-20s-5h": ("ur-20_02_06-20sec_5harm.csv", "fd4d10b39211a5ad1d2f67b62bd3e66b01a0275d518fd2fd2f0876ea520903a4", 690095),
 }
 for _label, (_file, _sha256, _size) in _UR10E_FILES.items():
     _load = _label == "after-load"
-    _known = (
-        "against ur10e-before the payload is found at 2.76 +- 0.05 kg"
-        if _load
-        else ("least squares with friction predicts another unloaded motion with 6 %")
-    )
+    _known = "least squares with friction predicts another unloaded motion with 6 %"
+    _known = "against ur10e-before the payload is found at 2.76 +- 0.05 kg" if _load else _known
     _SETS.append(Dataset(
         f"ur10e-{_label}",
         f"Universal Robots UR10e, torques from currents, {'2.805 kg at the flange' if _load else 'unloaded'}; one motion of 23 s",

@@ -178,10 +178,9 @@ def _steps(table: Table) -> list[str]:
     if not len(gaps):
         first = f"the first at {table.times[lost[0]]:.6g} s ({usual})"
         return [*uneven, f"{start}{len(lost)} steps lack a sample, {first}; check the logger"]
-    holes = ", ".join(f"{table.times[k]:.6g} to {table.times[k + 1]:.6g} s" for k in gaps[:3])
-    more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
+    holes = listed([f"{table.times[k]:.6g} to {table.times[k + 1]:.6g} s" for k in gaps], 3)
     short = f", and {len(lost) - len(gaps)} steps lack a sample" if len(lost) > len(gaps) else ""
-    gap = f"{start}gap at {holes}{more}{short} ({usual}); the pieces between gaps are treated apart, check the logger"
+    gap = f"{start}gap at {holes}{short} ({usual}); the pieces between gaps are treated apart, check the logger"
     return [*uneven, gap]
 
 
@@ -283,13 +282,8 @@ def _stalled(table: Table) -> np.ndarray:
 
 def _stalls(table: Table, stalled: np.ndarray) -> list[str]:
     """Report repeated rows that are not simply a robot at rest: it moves just before and just after them."""
-    starts, stops = _runs(stalled)
     moving = _moving(table, 0.2)
-    counted = [
-        (a, b)
-        for a, b in zip(starts.tolist(), stops.tolist(), strict=True)
-        if moving[max(a - 1 - _WINDOW, 0)] and moving[min(b + _WINDOW, len(table) - 1)]
-    ]
+    counted = [(a, b) for a, b in _runs(stalled) if moving[max(a - 1 - _WINDOW, 0)] and moving[min(b + _WINDOW, len(table) - 1)]]
     rows = sum(b - a for a, b in counted)
     if rows < 2:
         return []
@@ -366,13 +360,11 @@ def _frozen(table: Table, j: int, stalled: np.ndarray, resolution: float | None)
     """First and last row in which a joint's reading stands still although the joint moves; None where it does not."""
     t, q = table.times, table.positions[:, j]
     steps = np.abs(np.diff(q))
-    starts, stops = _runs(steps == 0.0)
-    long = np.flatnonzero(t[stops] - t[starts] > FROZEN_TIME)
     speed = _speeds(t, q)
     top, usual = float(np.quantile(speed, 0.95)), float(np.quantile(steps[steps > 0.0], 0.95))
-    for a, b in zip(starts[long].tolist(), stops[long].tolist(), strict=True):
-        if stalled[a + 1 : b + 1].all():
-            continue  # said for the whole row already
+    for a, b in _runs(steps == 0.0):
+        if t[b] - t[a] <= FROZEN_TIME or stalled[a + 1 : b + 1].all():
+            continue  # the latter is said for the whole row already
         if table.velocities is not None:
             v = table.velocities[a : b + 1, j]
             count = resolution or float(steps[steps > 0.0].min())
@@ -401,14 +393,13 @@ def _clipped(table: Table, name: str, values: np.ndarray) -> list[str]:
     quantum = float(steps[steps > 0.0].min())
     moving: np.ndarray | None = None
     for extreme in (float(values.max()), float(values.min())):
-        starts, stops = _runs(values == extreme)
-        held = stops - starts >= 5
-        if not held.any():
+        held = [(a, b) for a, b in _runs(values == extreme) if b - a >= 5]
+        if not held:
             continue
         moving = _moving(table, 0.05) if moving is None else moving
         places = [
             (a, b)
-            for a, b in zip(starts[held].tolist(), stops[held].tolist(), strict=True)
+            for a, b in held
             if moving[a:b].mean() > 0.5
             and max(steps[a - 1] if a else 0.0, steps[b - 1] if b <= len(steps) else 0.0) > 1.5 * quantum
         ]
@@ -420,7 +411,7 @@ def _clipped(table: Table, name: str, values: np.ndarray) -> list[str]:
     return []
 
 
-def _runs(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
     """Return the start and the stop (exclusive) of each run of true entries."""
-    edges = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
-    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))

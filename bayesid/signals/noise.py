@@ -75,9 +75,7 @@ class NoiseModel:
         """
         if before is not None and len(before) < self.order:  # the start is still within reach
             return self.whiten(np.concatenate([before, rows]))[len(before) :]
-        lower = cholesky(self.innovation, lower=True)
-        white = self.innovations(rows, before)
-        return mix(np.linalg.inv(lower), white)
+        return mix(np.linalg.inv(cholesky(self.innovation, lower=True)), self.innovations(rows, before))
 
     def innovations(self, rows: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
         """The rows' innovations, channel by channel, with covariance S where `whiten` gives the identity."""
@@ -90,15 +88,18 @@ class NoiseModel:
         for k in range(1, p + 1):
             out += self.coefficients[:, k][tail] * padded[p - k : len(padded) - k]
         if before is None and not self.from_zero:
-            first = min(p, len(rows))
-            for c, factor in enumerate(self._start(first)):
-                head = rows[:first, c].reshape(first, -1)
-                out[:first, c] = solve_triangular(factor, head, lower=True).reshape(out[:first, c].shape)
+            self._whiten_start(out, rows, min(p, len(rows)))
         return out
 
     def _start(self, first: int) -> list[np.ndarray]:
         """Cholesky factors of each channel's first rows, in units of its innovation."""
         return [cholesky(toeplitz(autocovariance(a, first - 1)), lower=True) for a in self.coefficients]
+
+    def _whiten_start(self, out: np.ndarray, rows: np.ndarray, first: int, transposed: bool = False) -> None:
+        """Whiten the first rows of a stationary recording, channel by channel, into ``out``."""
+        for c, factor in enumerate(self._start(first)):
+            head = rows[:first, c].reshape(first, -1)
+            out[:first, c] = solve_triangular(factor, head, trans=int(transposed), lower=True).reshape(out[:first, c].shape)
 
     def whiten_transposed(self, white: np.ndarray) -> np.ndarray:
         """The transpose of `whiten` for a whole recording: ``sum(whiten_transposed(z) * x) = sum(z * whiten(x))``."""
@@ -109,9 +110,8 @@ class NoiseModel:
         recursion, first = out.copy(), 0 if self.from_zero else min(p, len(out))
         # The first rows of a stationary start were not made by the recursion.
         recursion[:first] = 0.0
-        for c, factor in enumerate(self._start(first) if first else ()):
-            head = out[:first, c].reshape(first, -1)
-            out[:first, c] = solve_triangular(factor, head, lower=True, trans=1).reshape(out[:first, c].shape)
+        if first:
+            self._whiten_start(out, out, first, transposed=True)
         tail = (slice(None),) + (None,) * (out.ndim - 2)
         for k in range(1, p + 1):
             out[: len(out) - k] += self.coefficients[:, k][tail] * recursion[k:]
@@ -119,10 +119,9 @@ class NoiseModel:
 
     def colour_transposed(self, rows: np.ndarray) -> np.ndarray:
         """Rows Z with ``Z'Z = X' Sigma X`` for one whole recording X (k, channels, ...)."""
-        z = mix(cholesky(self.innovation, lower=True).T, np.asarray(rows, float)) if self.order == 0 else None
-        if z is not None:
-            return z
-        p = self.order
+        root, p = cholesky(self.innovation, lower=True).T, self.order
+        if p == 0:
+            return mix(root, np.asarray(rows, float))
         z = np.empty(rows.shape)
         for c, a in enumerate(self.coefficients):
             z[:, c] = lfilter([1.0], a, rows[::-1, c], axis=0)[::-1]
@@ -136,7 +135,7 @@ class NoiseModel:
                         if t + k - first < len(later):
                             head[t] -= a[k] * later[t + k - first]
                 z[:first, c] = (factor.T @ head.reshape(first, -1)).reshape(head.shape)
-        return mix(cholesky(self.innovation, lower=True).T, z)
+        return mix(root, z)
 
 
 def memoryless(noise: Mapping[str, NoiseModel]) -> bool:

@@ -213,20 +213,25 @@ def _chosen(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def _living(position, count, polynomials, values):
+    """First of the six functions that live at a position, in knots from the first, and their values."""
+    k = min(max(int(position), 0), count - 6)
+    for f in range(6):
+        total = polynomials[f, 5]
+        for power in range(4, -1, -1):
+            total = total * (position - k) + polynomials[f, power]
+        values[f] = total
+    return k
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _normal_equations(times, positions, first, spacing, count, polynomials):
     """Upper banded Gram matrix of the basis (6, count) and right-hand sides (count, n)."""
     n = positions.shape[1]
     band, right = np.zeros((6, count)), np.zeros((count, n))
     values = np.empty(6)
     for sample in range(len(times)):
-        position = times[sample] / spacing - first
-        k = min(int(position), count - 6)
-        u = position - k
-        for f in range(6):
-            total = polynomials[f, 5]
-            for power in range(4, -1, -1):
-                total = total * u + polynomials[f, power]
-            values[f] = total
+        k = _living(times[sample] / spacing - first, count, polynomials, values)
         for i in range(6):
             for j in range(i, 6):
                 band[5 + i - j, k + j] += values[i] * values[j]
@@ -239,18 +244,13 @@ def _normal_equations(times, positions, first, spacing, count, polynomials):
 def _residual_power(times, positions, coefficients, first, spacing, polynomials):
     """Sums of squares of positions less the spline's (n,)."""
     n, count = coefficients.shape[1], coefficients.shape[0]
-    power, left = np.zeros(n), np.zeros(n)
+    power, left, values = np.zeros(n), np.zeros(n), np.empty(6)
     for sample in range(len(times)):
-        position = times[sample] / spacing - first
-        k = min(max(int(position), 0), count - 6)
-        u = position - k
+        k = _living(times[sample] / spacing - first, count, polynomials, values)
         left[:] = positions[sample]
         for f in range(6):
-            value = polynomials[f, 5]
-            for step in range(4, -1, -1):
-                value = value * u + polynomials[f, step]
             for joint in range(n):
-                left[joint] -= value * coefficients[k + f, joint]
+                left[joint] -= values[f] * coefficients[k + f, joint]
         for joint in range(n):
             power[joint] += left[joint] * left[joint]
     return power

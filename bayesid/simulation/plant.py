@@ -102,16 +102,8 @@ def plant_readings(
             a = int(np.searchsorted(times, times[first] - margin))
             b = int(np.searchsorted(times, times[last - 1] + margin, side="right"))
         part = slice(a, b)
-        piece = MotionSegment(
-            times[part],
-            segment.positions[part],
-            segment.velocities[part],
-            segment.accelerations[part],
-            segment.still,
-            _BANDWIDTH,
-            middle,
-            in_turn=segment.in_turn,
-        )
+        motion = (x[part] for x in (times, segment.positions, segment.velocities, segment.accelerations))
+        piece = MotionSegment(*motion, still=segment.still, bandwidth=_BANDWIDTH, middle=middle, in_turn=segment.in_turn)
         with np.errstate(all="ignore"):  # what is not finite is reported below
             out[first:last] = readings(robot, channels, piece, links, terms)[first - a : last - a]
     if not np.isfinite(out).all():

@@ -264,13 +264,11 @@ def _accelerations(path: Path, joints: int) -> np.ndarray | None:
     import pandas as pd
 
     names = [f"a{j}" for j in range(1, joints + 1)]
-    head = pd.read_csv(path, nrows=0, skipinitialspace=True, encoding="utf-8-sig")
-    head.columns = [str(c).strip() for c in head.columns]
-    if not set(names) <= set(head.columns):
+    head = [str(c).strip() for c in pd.read_csv(path, nrows=0, skipinitialspace=True, encoding="utf-8-sig").columns]
+    if not set(names) <= set(head):
         return None
-    places = [list(head.columns).index(name) for name in names]
-    frame = pd.read_csv(path, usecols=places, skipinitialspace=True, encoding="utf-8-sig")
-    frame.columns = [str(c).strip() for c in frame.columns]
+    places = [head.index(name) for name in names]
+    frame = pd.read_csv(path, usecols=places, skipinitialspace=True, encoding="utf-8-sig").rename(columns=str.strip)
     try:
         values = frame[names].to_numpy(np.float64)
     except ValueError:
