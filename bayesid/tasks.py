@@ -140,7 +140,6 @@ def map_tasks(
     items: Iterable[_A],
     *,
     locally: Callable[[Callable[[_A], _B], Iterable[_A]], Iterable[_B]] = map,
-    progress: Callable[[int], object] | None = None,
 ) -> Iterator[_B]:
     """Results of a function for independent items, in their order.
 
@@ -149,17 +148,9 @@ def map_tasks(
     result wherever it is called makes the whole the same. An `EstimationError` where workers were lost again and again with the
     same task; most often their memory is too small.
 
-    ``function`` is sent once a call, with all that it refers to; ``locally`` is how items are done without a cluster, and
-    ``progress`` is called with the number of results so far.
+    ``function`` is sent once a call, with all that it refers to; ``locally`` is how items are done without a cluster.
     """
-    if on_cluster():
-        results = _on_workers(_clients[-1], function, items)
-    else:
-        results = iter(locally(function, items))
-    for count, result in enumerate(results, 1):
-        if progress is not None:
-            progress(count)
-        yield result
+    yield from _on_workers(_clients[-1], function, items) if on_cluster() else locally(function, items)
 
 
 def _on_workers(client: Any, function: Callable[[_A], _B], items: Iterable[_A]) -> Iterator[_B]:

@@ -165,7 +165,9 @@ def channel_twists(robot: Robot, channels: Channels, states: np.ndarray) -> np.n
 
 
 @jit
-def _project(twists, wrenches, carries, out):
+def project(twists, wrenches, carries):
+    """Readings (N, c): the twist's power with the wrenches (N, b, 6) of the bodies that the channel carries (c, b)."""
+    out = np.empty(twists.shape[:2])
     for s in range(len(twists)):
         for c in range(len(carries)):
             total = 0.0
@@ -174,12 +176,6 @@ def _project(twists, wrenches, carries, out):
                     for k in range(6):
                         total += twists[s, c, k] * wrenches[s, b, k]
             out[s, c] = total
-
-
-def project(twists: np.ndarray, wrenches: np.ndarray, carries: np.ndarray) -> np.ndarray:
-    """Readings (N, c): the twist's power with the wrenches (N, b, 6) of the bodies that the channel carries (c, b)."""
-    out = np.empty(twists.shape[:2])
-    _project(twists, wrenches, carries, out)
     return out
 
 

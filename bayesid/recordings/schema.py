@@ -15,8 +15,7 @@ from pydantic import AfterValidator, ConfigDict, Field
 
 from bayesid.arguments import argument
 from bayesid.errors import InputError
-from bayesid.recordings.importing.column_map import Columns, UnitSection
-from bayesid.recordings.importing.units import UNITS
+from bayesid.recordings.importing.column_map import UNITS, Columns, UnitSection
 from bayesid.recordings.toml_file import File, Keys, Name, NonNegative, Number, Positive, Section, Vector3, read_toml
 
 Expressions = dict[str, dict[str, Any]]  # "cogging" -> {"tau2": "c * sin(3 * q2)", "parameters": {"c": {"unit": "N m"}}}

@@ -13,9 +13,9 @@ import numpy as np
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.importing.clock import date
+from bayesid.recordings.importing.column_map import UNITS
 from bayesid.recordings.importing.recording import Recording
 from bayesid.recordings.importing.signals import Signal
-from bayesid.recordings.importing.units import UNITS
 from bayesid.recordings.writer import write_experiment
 from bayesid.results.files import strict
 from bayesid.results.text import number, with_half

@@ -127,17 +127,9 @@ def _puma(name: str, rolls: Sequence[int], axes: Sequence[Vector]) -> str:
             lower, upper = -upper, -lower
         mass, com, inertia = _LINKS[i]
         link = f"link{i + 1}"
-        joints.append(
-            Joint(
-                f"joint{i + 1}",
-                links[-1].name,
-                link,
-                xyz,
-                (turns * math.pi / 2, 0.0, 0.0),
-                axis=axis,
-                limits=(lower, upper, _VELOCITY[i], _EFFORT[i]),
-            )
-        )
+        limits = lower, upper, _VELOCITY[i], _EFFORT[i]
+        rpy = (turns * math.pi / 2, 0.0, 0.0)
+        joints.append(Joint(f"joint{i + 1}", links[-1].name, link, xyz, rpy, axis=axis, limits=limits))
         links.append(Link(link, mass, _about_x(-roll, com), inertia, (-roll * math.pi / 2, 0.0, 0.0)))
         parent_roll = roll
     return urdf_text(name, links, joints)
@@ -178,20 +170,7 @@ PAPER_LABELS = (
 )
 """The paper's twelve base parameters, in its order."""
 
-PAPER_ESTIMATE = (
-    0.1125,
-    -4.2455,
-    2.2202,
-    -0.1834,
-    -0.2278,
-    1.2489,
-    0.1338,
-    0.1213,
-    -0.1247,
-    0.8596,
-    -0.0086,
-    0.9867,
-)
+PAPER_ESTIMATE = (0.1125, -4.2455, 2.2202, -0.1834, -0.2278, 1.2489, 0.1338, 0.1213, -0.1247, 0.8596, -0.0086, 0.9867)
 """What the paper identified on its PUMA 550, a different arm [kg m, kg m^2]: for orders of magnitude only."""
 
 

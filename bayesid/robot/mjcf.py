@@ -10,6 +10,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -161,24 +162,21 @@ def _without_shapes(mujoco: Any, spec: Any) -> Any:
 
 
 def _check_tree(mujoco: Any, model: Any, source: str) -> None:
+    wrong = partial(InputError, file=source)
     for j in range(model.njnt):
         kind, what = model.jnt_type[j], f"joint {model.joint(j).name or j}"
         if kind == mujoco.mjtJoint.mjJNT_FREE:
-            raise InputError(
-                f"{what} is free, so that the robot floats", file=source,
-                remedy="only robots with a fixed base are identified: remove the joint, if the base does not move",
-            )  # fmt: skip
+            remedy = "only robots with a fixed base are identified: remove the joint, if the base does not move"
+            raise wrong(f"{what} is free, so that the robot floats", remedy=remedy)
         if kind == mujoco.mjtJoint.mjJNT_BALL:
-            raise InputError(f"{what} is a ball", file=source, remedy="write three hinges, as the positions of a log are")
+            raise wrong(f"{what} is a ball", remedy="write three hinges, as the positions of a log are")
     loops = {mujoco.mjtEq.mjEQ_CONNECT: "connect", mujoco.mjtEq.mjEQ_WELD: "weld", mujoco.mjtEq.mjEQ_TENDON: "tendon"}
     for k in range(model.neq):
         if model.eq_active0[k] and (kind := loops.get(mujoco.mjtEq(model.eq_type[k]))):
-            raise InputError(
-                f"equality {model.equality(k).name or k} ({kind}) closes a loop", file=source,
-                remedy="only trees are identified: remove it, if the loop does not carry load",
-            )  # fmt: skip
+            remedy = "only trees are identified: remove it, if the loop does not carry load"
+            raise wrong(f"equality {model.equality(k).name or k} ({kind}) closes a loop", remedy=remedy)
     if model.nflex:
-        raise InputError("has a flex, a soft body", file=source, remedy="only rigid bodies are identified: remove it")
+        raise wrong("has a flex, a soft body", remedy="only rigid bodies are identified: remove it")
 
 
 def _as_urdf(mujoco: Any, model: Any, names: Sequence[str], name: str) -> ET.Element:

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -75,27 +76,23 @@ def expand(source: RobotSource) -> bytes:
 
 def _described(name: str, arguments: Mapping[str, str]) -> RobotSource:
     """A description by its name: its URDF, else its xacro file, else its MJCF."""
-    place = f"{NAMED}{name}"
-    remedy = 'pip install "bayesid[robots]", or name a file'
-    missing = InputError("needs the package robot_descriptions", file=place, remedy=remedy)
-    known = required("robot_descriptions", missing).DESCRIPTIONS
+    wrong, remedy = partial(InputError, file=f"{NAMED}{name}"), 'pip install "bayesid[robots]", or name a file'
+    known = required("robot_descriptions", wrong("needs the package robot_descriptions", remedy=remedy)).DESCRIPTIONS
     if name not in known:
         close = get_close_matches(name, known, 1)
         hint = f"did you mean {close[0]}?" if close else "`python -m robot_descriptions list` lists them"
-        raise InputError("no such description", file=place, remedy=hint)
+        raise wrong("no such description", remedy=hint)
     try:
         with contextlib.redirect_stdout(sys.stderr):
             module: Any = importlib.import_module(f"robot_descriptions.{name}")
     except Exception as error:  # of git, of a network
         said = re.findall(r"fatal: .*", str(error)) or [" ".join(str(error).split())]
-        raise InputError(
-            f"cannot be fetched ({said[0][:_REASON] or type(error).__name__})", file=place,
-            remedy="connect to the network this once, or name a file",
-        ) from None  # fmt: skip
+        reason = said[0][:_REASON] or type(error).__name__
+        raise wrong(f"cannot be fetched ({reason})", remedy="connect to the network this once, or name a file") from None
     if hasattr(module, "XACRO_PATH") and not hasattr(module, "URDF_PATH"):
         stated = {**getattr(module, "XACRO_ARGS", {}), **arguments}
         return RobotSource(Path(module.XACRO_PATH), stated, dict(getattr(module, "XACRO_PACKAGE_PATHS", {})))
     path = getattr(module, "URDF_PATH", None) or getattr(module, "MJCF_PATH", None)
     if path is None:
-        raise InputError("has no URDF and no MJCF", file=place, remedy="name another")
+        raise wrong("has no URDF and no MJCF", remedy="name another")
     return RobotSource(Path(path), dict(arguments))

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from xml.parsers import expat
 
@@ -100,6 +101,8 @@ _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _SHOWN = 40  # characters of a value that a message quotes
+#: Makes an error at a place of the file.
+Wrong = Callable[..., InputError]
 
 
 @dataclass(frozen=True)
@@ -187,18 +190,18 @@ def read_urdf(given: str | Path, folder: Path | None = None) -> UrdfFile:
 
 
 def _checked(data: bytes, path: Path, notes: tuple[str, ...] = (), inside: dict | None = None) -> UrdfFile:
-    source = path.name
-    root = parse_xml(data, source)
-    _check_namespaces(root, source)
-    links, joints = _named(root, "link", source), _named(root, "joint", source)
+    root, wrong = parse_xml(data, path.name), partial(InputError, file=path.name)
+    _check_namespaces(root, wrong)
+    links, joints = _named(root, "link", wrong), _named(root, "joint", wrong)
     if not links:
-        raise InputError("has no <link>", file=source, remedy="it cannot be read as a URDF: check the file")
-    known = {name: _joint(element, links, source) for name, element in joints.items()}
-    for element in joints.values():
-        _check_numbers(element, known[str(element.get("name"))], source)
-    root_link = _check_tree(links, known, source)
-    bodies = {name: _body(element, source) for name, element in links.items()}
-    return UrdfFile(path, data, known, (*notes, *_doubts(bodies, root_link, source)), inside or {})
+        raise wrong("has no <link>", remedy="it cannot be read as a URDF: check the file")
+    at_joint = {name: partial(wrong, key=f"joint {_cut(name)}") for name in joints}
+    known = {name: _joint(element, links, at_joint[name]) for name, element in joints.items()}
+    for name, element in joints.items():
+        _check_numbers(element, known[name].kind, at_joint[name])
+    root_link = _check_tree(links, known, wrong)
+    bodies = {name: _body(element, partial(wrong, key=f"link {_cut(name)}")) for name, element in links.items()}
+    return UrdfFile(path, data, known, (*notes, *_doubts(bodies, root_link, path.name)), inside or {})
 
 
 def _plain(element: ET.Element) -> dict[str, str]:
@@ -210,96 +213,81 @@ def _is_macro(element: ET.Element) -> bool:
     return "}" in element.tag and "xacro" in element.tag.partition("}")[0]
 
 
-def _check_namespaces(root: ET.Element, source: str) -> None:
+def _check_namespaces(root: ET.Element, wrong: Wrong) -> None:
     if root.tag.endswith("}robot"):
-        raise InputError(
-            "<robot> has a default namespace (xmlns=...), so that none of its parts is URDF's", file=source, remedy="remove it"
-        )
+        raise wrong("<robot> has a default namespace (xmlns=...), so that none of its parts is URDF's", remedy="remove it")
     if root.tag != "robot":
-        raise InputError(
-            f"its root element is <{_cut(root.tag)}>", file=source,
-            remedy="it cannot be read as a URDF, which has <robot>, nor as MJCF, <mujoco>: name the robot's file",
-        )  # fmt: skip
+        remedy = "it cannot be read as a URDF, which has <robot>, nor as MJCF, <mujoco>: name the robot's file"
+        raise wrong(f"its root element is <{_cut(root.tag)}>", remedy=remedy)
 
 
-def _named(root: ET.Element, kind: str, source: str) -> dict[str, ET.Element]:
+def _named(root: ET.Element, kind: str, wrong: Wrong) -> dict[str, ET.Element]:
     out: dict[str, ET.Element] = {}
     for element in root.findall(kind):
         name = element.get("name", "")
         if not name.strip():
-            raise InputError(f"a <{kind}> has no name", file=source, remedy="name it")
+            raise wrong(f"a <{kind}> has no name", remedy="name it")
         if name in out:
-            raise InputError(f"{kind} {_cut(name)}: is there twice", file=source, remedy="name them apart")
+            raise wrong(f"{kind} {_cut(name)}: is there twice", remedy="name them apart")
         out[name] = element
     return out
 
 
-def _joint(element: ET.Element, links: dict[str, ET.Element], source: str) -> UrdfJoint:
-    name = str(element.get("name"))
-    place = f"joint {_cut(name)}"
+def _joint(element: ET.Element, links: dict[str, ET.Element], wrong: Wrong) -> UrdfJoint:
     kind = element.get("type", "")
     if kind not in _KINDS:
-        raise InputError(
-            f'type "{_cut(kind)}" is not known', file=source, key=place, value=kind,
-            remedy="write revolute, continuous, prismatic or fixed",
-        )  # fmt: skip
+        raise wrong(f'type "{_cut(kind)}" is not known', value=kind, remedy="write revolute, continuous, prismatic or fixed")
     ends = []
     for end in ("parent", "child"):
         inner = element.find(end)
         link = "" if inner is None else inner.get("link", "")
         if link not in links:
-            raise InputError(f'{end} link "{_cut(link)}" is not in the file', file=source, key=place, value=link,
-                             remedy="correct the name there")  # fmt: skip
+            raise wrong(f'{end} link "{_cut(link)}" is not in the file', value=link, remedy="correct the name there")
         ends.append(link)
     mimic = element.find("mimic")
-    return UrdfJoint(name, kind, ends[0], ends[1], None if mimic is None else mimic.get("joint", ""))
+    return UrdfJoint(str(element.get("name")), kind, ends[0], ends[1], None if mimic is None else mimic.get("joint", ""))
 
 
-def _check_numbers(element: ET.Element, joint: UrdfJoint, source: str) -> None:
-    place = f"joint {_cut(joint.name)}"
-    _origin(element, place, source)
+def _check_numbers(element: ET.Element, kind: str, wrong: Wrong) -> None:
+    _origin(element, wrong)
     axis = element.find("axis")
-    if axis is not None and joint.kind != "fixed":
-        given = _vector(axis, "xyz", (1.0, 0.0, 0.0), place, source, LARGEST)
-        if joint.kind in _KINDS[:3] and not np.linalg.norm(given) > 1e-6:
-            raise InputError(f"axis {axis.get('xyz')} has no direction", file=source, key=place, value=given,
-                             remedy="write a unit vector")  # fmt: skip
+    if axis is not None and kind != "fixed":
+        given = _vector(axis, "xyz", (1.0, 0.0, 0.0), wrong, LARGEST)
+        if kind in _KINDS[:3] and not np.linalg.norm(given) > 1e-6:
+            raise wrong(f"axis {axis.get('xyz')} has no direction", value=given, remedy="write a unit vector")
     limit = element.find("limit")
-    if joint.kind not in _KINDS[:3] or (limit is None and joint.kind == "continuous"):
+    if kind not in _KINDS[:3] or (limit is None and kind == "continuous"):
         return
     if limit is None:
-        raise InputError(f"is {joint.kind} and has no <limit>", file=source, key=place,
-                         remedy="write lower, upper, velocity and effort")  # fmt: skip
-    values = {}
-    for key in ("lower", "upper", "velocity", "effort"):
-        if limit.get(key) is None and key in ("velocity", "effort"):
-            raise InputError(f"<limit> lacks {key}", file=source, key=place, remedy="write it")
-        values[key] = _number(limit.get(key, "0"), f"limit {key}", place, source, np.inf)
-    if joint.kind != "continuous" and values["lower"] > values["upper"]:
-        raise InputError(
-            f"limits are reversed, from {values['lower']:g} to {values['upper']:g}", file=source, key=place,
-            value=(values["lower"], values["upper"]), remedy="swap lower and upper",
-        )  # fmt: skip
+        raise wrong(f"is {kind} and has no <limit>", remedy="write lower, upper, velocity and effort")
+    limits = []
+    for key, default in (("lower", "0"), ("upper", "0"), ("velocity", None), ("effort", None)):
+        given = limit.get(key, default)
+        if given is None:
+            raise wrong(f"<limit> lacks {key}", remedy="write it")
+        limits.append(_number(given, f"limit {key}", wrong))
+    lower, upper = limits[:2]
+    if kind != "continuous" and lower > upper:
+        problem = f"limits are reversed, from {lower:g} to {upper:g}"
+        raise wrong(problem, value=(lower, upper), remedy="swap lower and upper")
 
 
-def _check_tree(links: Iterable[str], joints: dict[str, UrdfJoint], source: str) -> str:
+def _check_tree(links: Iterable[str], joints: dict[str, UrdfJoint], wrong: Wrong) -> str:
     """Check that all links hang on one, by chains of bearable length; returns that one's name."""
     links = list(links)
     above: dict[str, UrdfJoint] = {}
     below: dict[str, list[str]] = {name: [] for name in links}
     for joint in joints.values():
         if joint.child in above:
-            raise InputError(
+            raise wrong(
                 f"joints {_cut(above[joint.child].name)} and {_cut(joint.name)} have the same child, link {_cut(joint.child)}",
-                file=source, remedy="a link hangs on one joint: remove the other (closed loops are not supported)",
-            )  # fmt: skip
+                remedy="a link hangs on one joint: remove the other (closed loops are not supported)",
+            )
         above[joint.child] = joint
         below[joint.parent].append(joint.child)
     roots = [name for name in links if name not in above]
     if len(roots) > 1:
-        raise InputError(
-            f"links {_cut(roots[0])} and {_cut(roots[1])} hang on no joint", file=source, remedy="attach all but one of them"
-        )
+        raise wrong(f"links {_cut(roots[0])} and {_cut(roots[1])} hang on no joint", remedy="attach all but one of them")
     depth = {name: 1 for name in roots}
     queue = list(roots)
     for name in queue:
@@ -307,39 +295,30 @@ def _check_tree(links: Iterable[str], joints: dict[str, UrdfJoint], source: str)
             depth[child] = depth[name] + 1
             queue.append(child)
     if looped := [name for name in links if name not in depth]:
-        raise InputError(
-            f"joint {_cut(above[looped[0]].name)}: its links hang on each other in a loop, not on the robot's base",
-            file=source, remedy="correct its parent or child",
-        )  # fmt: skip
+        problem = f"joint {_cut(above[looped[0]].name)}: its links hang on each other in a loop, not on the robot's base"
+        raise wrong(problem, remedy="correct its parent or child")
     if len(links) > MOST_LINKS or max(depth.values()) > LONGEST_CHAIN:
-        raise InputError(
-            f"{len(links)} links, {max(depth.values())} of them in one chain; {MOST_LINKS} and {LONGEST_CHAIN} can be read",
-            file=source, remedy="merge links that fixed joints connect",
-        )  # fmt: skip
+        problem = f"{len(links)} links, {max(depth.values())} of them in one chain; {MOST_LINKS} and {LONGEST_CHAIN} can be read"
+        raise wrong(problem, remedy="merge links that fixed joints connect")
     return roots[0]
 
 
-def _body(link: ET.Element, source: str) -> np.ndarray:
+def _body(link: ET.Element, wrong: Wrong) -> np.ndarray:
     """Ten parameters of a link about its own origin (10,); zero without an ``<inertial>``."""
-    place = f"link {_cut(str(link.get('name')))}"
     inertial = link.find("inertial")
     if inertial is None:
         return np.zeros(10)
     mass, about = inertial.find("mass"), inertial.find("inertia")
-    for element, name in ((mass, "mass"), (about, "inertia")):
-        if element is None:
-            raise InputError(f"<inertial> lacks <{name}>", file=source, key=place, remedy="write it, or remove <inertial>")
-    assert mass is not None and about is not None
-    m = _number(mass.get("value"), "mass", place, source, np.inf)
+    if mass is None or about is None:
+        raise wrong(f"<inertial> lacks <{'mass' if mass is None else 'inertia'}>", remedy="write it, or remove <inertial>")
+    m = _number(mass.get("value"), "mass", wrong)
     if m < 0.0:
-        raise InputError(f"mass {m:g} kg", file=source, key=place, value=m, remedy="masses are 0 or more: correct it")
+        raise wrong(f"mass {m:g} kg", value=m, remedy="masses are 0 or more: correct it")
     if m > HEAVIEST or 0.0 < m < LIGHTEST:
-        raise InputError(f"mass {m:g} kg is no link's", file=source, key=place, value=m,
-                         remedy=f"write kilograms, {LIGHTEST:g} to {HEAVIEST:g}, or 0")  # fmt: skip
-    values = [_number(about.get(key), key, place, source, LARGEST) for key in _INERTIA]
-    com, rpy = _origin(inertial, place, source)
+        raise wrong(f"mass {m:g} kg is no link's", value=m, remedy=f"write kilograms, {LIGHTEST:g} to {HEAVIEST:g}, or 0")
+    xx, xy, xz, yy, yz, zz = (_number(about.get(key), key, wrong, LARGEST) for key in _INERTIA)
+    com, rpy = _origin(inertial, wrong)
     rotation = pin.rpy.rpyToMatrix(*map(float, rpy))
-    xx, xy, xz, yy, yz, zz = values
     tensor = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
     return inertia.from_mass_com_inertia(m, com, tensor)
 
@@ -370,38 +349,35 @@ def _listed(names: list[str]) -> str:
     return f"link{'s' * (len(names) > 1)} " + ", ".join(map(_cut, names[:3])) + more
 
 
-def _origin(element: ET.Element, place: str, source: str) -> tuple[np.ndarray, np.ndarray]:
+def _origin(element: ET.Element, wrong: Wrong) -> tuple[np.ndarray, np.ndarray]:
     """Position [m] and fixed-axis angles [rad] of an element's ``<origin>``."""
     origin = element.find("origin")
     if origin is None:
         return np.zeros(3), np.zeros(3)
     zero = (0.0, 0.0, 0.0)
-    return (_vector(origin, "xyz", zero, place, source, FARTHEST), _vector(origin, "rpy", zero, place, source, FARTHEST))
+    return _vector(origin, "xyz", zero, wrong, FARTHEST), _vector(origin, "rpy", zero, wrong, FARTHEST)
 
 
-def _vector(
-    element: ET.Element, key: str, default: tuple[float, float, float], place: str, source: str, largest: float
-) -> np.ndarray:
+def _vector(element: ET.Element, key: str, default: tuple[float, ...], wrong: Wrong, largest: float) -> np.ndarray:
     text = element.get(key)
     if text is None:
         return np.array(default)
     parts = text.split()
     if len(parts) != 3:
-        raise InputError(f'<{element.tag}> {key} "{_cut(text)}" is not three numbers', file=source, key=place, value=text,
-                         remedy="write three, separated by blanks, with decimal points")  # fmt: skip
-    return np.array([_number(part, f"<{element.tag}> {key}", place, source, largest) for part in parts])
+        remedy = "write three, separated by blanks, with decimal points"
+        raise wrong(f'<{element.tag}> {key} "{_cut(text)}" is not three numbers', value=text, remedy=remedy)
+    return np.array([_number(part, f"<{element.tag}> {key}", wrong, largest) for part in parts])
 
 
-def _number(text: str | None, what: str, place: str, source: str, largest: float) -> float:
+def _number(text: str | None, what: str, wrong: Wrong, largest: float = np.inf) -> float:
     if text is None:
-        raise InputError(f"{what} is missing", file=source, key=place, remedy="write it")
+        raise wrong(f"{what} is missing", remedy="write it")
     if not _NUMBER.fullmatch(text.strip()):
-        raise InputError(f'{what} "{_cut(text)}" is not a number', file=source, key=place, value=text,
-                         remedy="write one, with a decimal point")  # fmt: skip
+        raise wrong(f'{what} "{_cut(text)}" is not a number', value=text, remedy="write one, with a decimal point")
     value = float(text)
     if not abs(value) <= largest or not np.isfinite(value):
-        raise InputError(f"{what} {_cut(text)} is beyond all robots", file=source, key=place, value=text,
-                         remedy="write SI units (m, rad, kg, kg m^2)")  # fmt: skip
+        remedy = "write SI units (m, rad, kg, kg m^2)"
+        raise wrong(f"{what} {_cut(text)} is beyond all robots", value=text, remedy=remedy)
     return value
 
 

@@ -42,23 +42,21 @@ class Agreement:
 
 def compare_estimates(first: str, one: Estimate, second: str, other: Estimate) -> Agreement | None:
     """Compare two independent estimates of the same base and effect parameters; None without covariance."""
-    shared = [n for n in one.base.names + one.effect_names if n in other.base.names + other.effect_names]
-    a = [(one.base.names + one.effect_names).index(n) for n in shared]
-    b = [(other.base.names + other.effect_names).index(n) for n in shared]
-    labels = [(one.base.labels + one.effect_names)[i] for i in a]
     if one.full_covariance is None or other.full_covariance is None:
         return None
-    seen = ~(one.undetermined[a] | other.undetermined[b])
-    difference = (one.solution[a] - other.solution[b])[seen]
-    covariance = (one.full_covariance[np.ix_(a, a)] + other.full_covariance[np.ix_(b, b)])[np.ix_(seen, seen)]
-    if not seen.any():
+    mine, theirs = (e.base.names + e.effect_names for e in (one, other))
+    places = [(mine.index(name), theirs.index(name)) for name in mine if name in theirs]
+    places = [(i, j) for i, j in places if not (one.undetermined[i] or other.undetermined[j])]
+    if not places:
         return None
-    return _judge(first, second, difference, covariance, [label for label, s in zip(labels, seen, strict=True) if s],
-                  one.solution[a][seen], other.solution[b][seen])  # fmt: skip
+    a, b = np.transpose(places)
+    covariance = one.full_covariance[np.ix_(a, a)] + other.full_covariance[np.ix_(b, b)]
+    labels = [(one.base.labels + one.effect_names)[i] for i in a]
+    return _judge(first, second, covariance, labels, one.solution[a], other.solution[b])
 
 
-def _judge(first, second, difference, covariance, labels, left, right) -> Agreement | None:
-    size = np.sqrt(np.diag(covariance))
+def _judge(first, second, covariance, labels, left, right) -> Agreement | None:
+    size, difference = np.sqrt(np.diag(covariance)), left - right
     test = hausman(difference, covariance, size, 1e-9)
     if not test.degrees:
         return None
@@ -135,7 +133,7 @@ def wrench_against_torque(problem: Problem, method: str | Estimator) -> Agreemen
     implied = (relation @ wrench.values)[inside]
     covariance = (relation @ wrench.covariance @ relation.T + torque.covariance)[np.ix_(inside, inside)]
     labels = [label for label, ok in zip(torque.base.labels, inside, strict=True) if ok]
-    return _judge("wrench", "torque", implied - torque.values[inside], covariance, labels, implied, torque.values[inside])
+    return _judge("wrench", "torque", covariance, labels, implied, torque.values[inside])
 
 
 def static_both_ways(problem: Problem, method: str | Estimator) -> Estimate | None:

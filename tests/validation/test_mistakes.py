@@ -22,7 +22,7 @@ from bayesid.regression.readings import make_channels
 from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
 from bayesid.validation.mistakes.candidates import candidates, of_wrench
-from bayesid.validation.mistakes.evidence import Change, Explainer
+from bayesid.validation.mistakes.evidence import Change, Explainer, independent_samples
 from bayesid.validation.mistakes.from_data import orders
 from bayesid.validation.mistakes.plausible import body_generators
 from bayesid.validation.mistakes.samples import low_passed
@@ -181,7 +181,7 @@ def test_no_fit_reaches_beyond_the_highest_score(channel: str, tmp_path: Path) -
     assert samples is not None
     noise = 0.05 * samples.readings.std(axis=0) * np.random.default_rng(0).normal(size=samples.readings.shape)
     explainer = Explainer(whole.robot, make_channels(whole, channel), replace(samples, readings=samples.readings + noise))
-    worth = explainer.independent_samples(explainer.fit()[0])
+    worth = independent_samples(explainer.fit()[0].residual, explainer.samples.part)
     every = [*candidates(whole, channel, samples), *orders(explainer, np.ones(whole.robot.n, bool))]
     for c in every[:: max(1, len(every) // 25)]:
         score = max(fit.score(worth) for fit in explainer.fit(c.change))

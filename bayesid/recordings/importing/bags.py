@@ -104,7 +104,8 @@ class _Collected:
             f, m = message.wrench.force, message.wrench.torque
             self.wrenches.append((f.x, f.y, f.z, m.x, m.y, m.z))
         else:
-            self.rows.append(dict(_numbers(message, "", _joint_names(message))))
+            names = getattr(message, "joint_names", None)  # beside arrays of one number a joint
+            self.rows.append(dict(_numbers(message, "", [str(name) for name in names] if isinstance(names, list) else [])))
 
     def _add_joints(self, message: Any, names: list[str], row: int, source: str) -> None:
         """Each joint's numbers under its name: the order may differ from message to message, and parts may be empty."""
@@ -136,9 +137,12 @@ class _Collected:
             names = (f"wrench/{part}/{axis}" for part in ("force", "torque") for axis in "xyz")
             columns = dict(zip(names, np.array(self.wrenches, dtype=np.float64).T, strict=True))
             streams.append(Stream(self.topic, columns, clocks, self.frame))
-        if self.rows:
-            streams += _row_streams(self.topic, self.rows, clocks, self.frame)
-        return streams
+        columns = {}
+        for name, value in self.rows[0].items() if self.rows else ():  # what every message has with one shape
+            shape = np.shape(value)
+            if all(np.shape(row.get(name, ())) == shape for row in self.rows[1:]):
+                columns |= array_columns(name, np.array([row[name] for row in self.rows], dtype=np.float64))
+        return [*streams, Stream(self.topic, columns, clocks, self.frame)] if columns else streams
 
     def _joint_columns(self) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
         """Name of each joint's column, indices of the messages that have it (k,), ascending, and its numbers (k,)."""
@@ -151,23 +155,6 @@ class _Collected:
             rows, values = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
             order = np.argsort(rows, kind="stable")
             yield column, rows[order], values[order]
-
-
-def _row_streams(topic: str, rows: list[dict[str, Any]], clocks: dict[str, np.ndarray], frame: str) -> list[Stream]:
-    """Fields that every message has with one shape; others are left out."""
-    first = rows[0]
-    columns: dict[str, np.ndarray] = {}
-    for name, value in first.items():
-        shape = np.shape(value)
-        if all(np.shape(row.get(name, ())) == shape for row in rows[1:]):
-            columns |= array_columns(name, np.array([row[name] for row in rows], dtype=np.float64))
-    return [Stream(topic, columns, clocks, frame)] if columns else []
-
-
-def _joint_names(message: Any) -> list[str]:
-    """Names of joints that a message lists beside its arrays."""
-    names = getattr(message, "joint_names", None)
-    return [str(name) for name in names] if isinstance(names, list) else []
 
 
 def _numbers(message: Any, path: str, joints: list[str]) -> Iterator[tuple[str, Any]]:

@@ -55,20 +55,18 @@ def topic_clock(stream: Stream, wanted: str | None, source: str) -> RowTimes:
     """The clock of a topic: stamps of headers, unless there are none that count, or log times are wanted."""
     log, header = stream.clocks["log"], stream.clocks.get("header")
     usable = header is not None and len(header) > 1 and len(np.unique(header)) > 0.5 * len(header) and bool((header > 0).all())
-    if wanted == "header" and not usable:
-        what = "messages have no header" if header is None else "stamps of headers are zero or stand still"
-        raise InputError(what, file=source, key=stream.name, remedy=f"use the times of the log ({argument('clock', 'log')})")
-    late = None
+    kind, text, times, late, notes = "log", "times of the log", log, None, ()
     if header is not None and usable:
         low, middle, high = np.quantile((log - header) / 1e9, [0.16, 0.5, 0.84])
         late = float(middle), float(0.5 * (high - low))
-    notes = []
-    if header is not None and not usable:
-        notes.append(f"{stream.name}: stamps of headers are zero or stand still; times of the log are used")
-    kind = "header" if header is not None and usable and wanted != "log" else "log"
-    times = header if kind == "header" and header is not None else log
-    text = "stamps of headers" if kind == "header" else "times of the log"
-    return RowTimes(kind, text, (times - times[0]) / 1e9, int(times[0]), late, notes=tuple(notes))
+        if wanted != "log":
+            kind, text, times = "header", "stamps of headers", header
+    else:
+        what = "messages have no header" if header is None else "stamps of headers are zero or stand still"
+        if wanted == "header":
+            raise InputError(what, file=source, key=stream.name, remedy=f"use the times of the log ({argument('clock', 'log')})")
+        notes = () if header is None else (f"{stream.name}: {what}; times of the log are used",)
+    return RowTimes(kind, text, (times - times[0]) / 1e9, int(times[0]), late, notes=notes)
 
 
 def table_clock(stream: Stream, column: str, unit: str | None, source: str) -> RowTimes:

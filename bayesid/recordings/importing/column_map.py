@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +14,6 @@ from pydantic import AfterValidator, ConfigDict
 
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, suggest
-from bayesid.recordings.importing.units import UNITS, check_unit
 from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.recordings.toml_file import Keys, Number, Section, read_toml
 
@@ -22,6 +22,24 @@ JOINT_QUANTITIES = ("q", "v", "qr", "tau")
 AXES = {"wrench": WRENCH_COLUMNS, "f": WRENCH_COLUMNS[:3], "m": WRENCH_COLUMNS[3:]}
 _LONGEST_SHIFT = 1e6  # [s]
 _ONE = re.compile(r"(qr|q|v|tau)([1-9]\d*)")
+_TURN = 2.0 * math.pi
+_ANGLE = {"rad": 1.0, "deg": math.pi / 180.0, "turn": _TURN, "m": 1.0, "mm": 1e-3, "cm": 1e-2}
+_RATE = {
+    "rad/s": 1.0, "deg/s": math.pi / 180.0, "turn/s": _TURN, "rpm": _TURN / 60.0, "m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2,
+}  # fmt: skip
+_FORCE, _MOMENT = {"N": 1.0, "kN": 1e3, "mN": 1e-3}, {"N m": 1.0, "N mm": 1e-3, "N cm": 1e-2, "mN m": 1e-3, "kN m": 1e3}
+#: Units of readings that say nothing of a torque without a constant of the joint.
+NEED_CONSTANT = {"A": 1.0, "mA": 1e-3, "V": 1.0, "counts": 1.0, "%": 1.0}
+_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+#: Units of a quantity: the first is the one that bayesid computes in.
+UNITS: dict[str, dict[str, float]] = {
+    "t": {**_TIME, "iso": math.nan}, "q": _ANGLE, "v": _RATE, "qr": _ANGLE, "tau": {**_MOMENT, **_FORCE, **NEED_CONSTANT},
+    "f": _FORCE, "m": _MOMENT,
+}  # fmt: skip
+_SPELT = {"nm": "N m", "degree": "deg", "degrees": "deg", "°": "deg", "°/s": "deg/s", "radians": "rad", "radian": "rad",
+          "sec": "s", "seconds": "s", "second": "s", "msec": "ms", "milliseconds": "ms", "µs": "us", "μs": "us", "usec": "us",
+          "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "newton": "N", "rev": "turn", "rev/s": "turn/s",
+          "amps": "A", "ampere": "A", "rads": "rad/s", "degs": "deg/s"}  # fmt: skip
 
 
 class UnitSection(Section):
@@ -71,31 +89,28 @@ class ColumnMap:
 
     def __post_init__(self) -> None:
         """Check the keys and units; names of joints and of columns are the robot's and the log's business."""
+        wrong = partial(InputError, file=self.file)
         for key in self.columns:
             if key not in ("t", *JOINT_QUANTITIES, *AXES, *WRENCH_COLUMNS) and not _ONE.fullmatch(key):
-                raise InputError(
-                    f'"{cut(key)}" is no column of ours', file=self.file, key="columns", value=key,
-                    remedy=suggest(key, ("t", "q", "v", "qr", "tau", "wrench", "q1", "tau1", *WRENCH_COLUMNS), "write one of"),
-                )  # fmt: skip
+                remedy = suggest(key, ("t", "q", "v", "qr", "tau", "wrench", "q1", "tau1", *WRENCH_COLUMNS), "write one of")
+                raise wrong(f'"{cut(key)}" is no column of ours', key="columns", value=key, remedy=remedy)
         for key, by in self.scale.items():
             if not (math.isfinite(by) and by):
-                problem = f"{cut(key)} = {by:g} is no factor"
-                raise InputError(problem, file=self.file, key="units.scale", value=by, remedy="write a number but 0")
+                raise wrong(f"{cut(key)} = {by:g} is no factor", key="units.scale", value=by, remedy="write a number but 0")
         for key, by in self.shift.items():
             if key not in (*JOINT_QUANTITIES, "wrench") or not abs(by) <= _LONGEST_SHIFT:
-                raise InputError(
-                    f"{cut(key)} = {by:g} is no shift of a quantity", file=self.file, key="shift", value=by,
-                    remedy=f"write seconds, up to {_LONGEST_SHIFT:g}, by q, v, qr, tau or wrench",
-                )  # fmt: skip
+                remedy = f"write seconds, up to {_LONGEST_SHIFT:g}, by q, v, qr, tau or wrench"
+                raise wrong(f"{cut(key)} = {by:g} is no shift of a quantity", key="shift", value=by, remedy=remedy)
         checked = {}
-        for key, unit in self.units.items():
+        for key, text in self.units.items():
             quantity = quantity_of(key)
             if not quantity:
-                raise InputError(
-                    f'"{cut(key)}" is no quantity or column of ours', file=self.file, key="units", value=key,
-                    remedy=suggest(key, UNITS, "write one of"),
-                )  # fmt: skip
-            checked[key] = check_unit(quantity, unit, self.file, f"units {key}")
+                remedy = suggest(key, UNITS, "write one of")
+                raise wrong(f'"{cut(key)}" is no quantity or column of ours', key="units", value=key, remedy=remedy)
+            checked[key] = known_unit(quantity, text)
+            if checked[key] is None:
+                remedy = suggest(text, UNITS[quantity], "write one of")
+                raise wrong(f'"{cut(text)}" is no unit here', key=f"units {key}", value=text, remedy=remedy)
         object.__setattr__(self, "units", checked)
 
     def unit(self, column: str) -> str | None:
@@ -119,18 +134,15 @@ class ColumnMap:
 
     def check_joints(self, joints: Sequence[str]) -> None:
         """Refuse names of what is no joint, and factors of what is neither a quantity, a column nor a joint."""
+        wrong = partial(InputError, file=self.file)
         for joint in self.joints:
             if joint not in joints:
-                raise InputError(
-                    f'"{cut(joint)}" is no moving joint of the URDF', file=self.file, key="joints", value=joint,
-                    remedy=suggest(joint, joints, "write one of"),
-                )  # fmt: skip
+                remedy = suggest(joint, joints, "write one of")
+                raise wrong(f'"{cut(joint)}" is no moving joint of the URDF', key="joints", value=joint, remedy=remedy)
         for key in self.scale:
             if not quantity_of(key) and key not in joints:
-                raise InputError(
-                    f'"{cut(key)}" is neither a column nor a joint', file=self.file, key="units.scale", value=key,
-                    remedy=suggest(key, (*joints, "tau1", *UNITS), "write one of"),
-                )  # fmt: skip
+                remedy = suggest(key, (*joints, "tau1", *UNITS), "write one of")
+                raise wrong(f'"{cut(key)}" is neither a column nor a joint', key="units.scale", value=key, remedy=remedy)
 
 
 def quantity_of(column: str) -> str:
@@ -141,6 +153,18 @@ def quantity_of(column: str) -> str:
         return column[0]
     one = _ONE.fullmatch(column)
     return one[1] if one else ""
+
+
+def known_unit(quantity: str, text: str) -> str | None:
+    """The unit of a quantity (a key of `UNITS`) that is meant by a text, in the spelling of `UNITS`; None where it is none."""
+    plain = re.sub(r"[\s·*.]", "", text)
+    spelt = {re.sub(r"\s", "", unit): unit for unit in UNITS[quantity]}
+    if plain in spelt:
+        return spelt[plain]
+    meant = _SPELT.get(plain.lower())
+    if meant is None:
+        meant = {key.lower(): unit for key, unit in spelt.items()}.get(plain.lower())
+    return meant if meant in UNITS[quantity] else None
 
 
 def load_column_map(path: str | Path) -> ColumnMap:

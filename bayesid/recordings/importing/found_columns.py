@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, listed, suggest
-from bayesid.recordings.importing.column_map import AXES, JOINT_QUANTITIES, ColumnMap, quantity_of
+from bayesid.recordings.importing.column_map import AXES, JOINT_QUANTITIES, UNITS, ColumnMap, known_unit, quantity_of
 from bayesid.recordings.importing.stream import Stream
-from bayesid.recordings.importing.units import UNITS, known_unit
 from bayesid.recordings.table import WRENCH_COLUMNS
 
 #: Words of each quantity; a joint's name or number stands beside them.
@@ -45,7 +44,7 @@ class FoundColumn:
     #: Where it stands.
     stream: Stream
     column: str
-    #: As its name states, in the spelling of `bayesid.recordings.importing.units`; None where it states none.
+    #: As its name states, in the spelling of `UNITS`; None where it states none.
     unit: str | None = None
 
 

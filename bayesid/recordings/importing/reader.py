@@ -40,17 +40,15 @@ def read_source(
             return (Source(path.stem, (read_parquet(path) if kind == "parquet" else read_csv(path),)),)
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror or error})", file=path.name, remedy="give a readable file") from None
+    what, remedy = (
+        f'files "{path.suffix}" are not known',
+        "give a ROS bag, MCAP, CSV, Parquet, NPZ, MAT, HDF5 or a LeRobot data set",
+    )
     if kind == "pickle":
-        raise InputError(
-            "is a pickle, which could run anything when it is read", file=path.name, remedy="save arrays as .npz or CSV"
-        )
-    what = f'files "{path.suffix}" are not known'
-    if path.is_dir():
+        what, remedy = "is a pickle, which could run anything when it is read", "save arrays as .npz or CSV"
+    elif path.is_dir():
         what = "folder holds no metadata.yaml, .mcap, .db3 or meta/info.json"
-    raise InputError(
-        what, file=path.name,
-        remedy="give a ROS bag, MCAP, CSV, Parquet, NPZ, MAT, HDF5 or a LeRobot data set",
-    )  # fmt: skip
+    raise InputError(what, file=path.name, remedy=remedy)
 
 
 def joined(sources: Sequence[Source]) -> Source:
@@ -66,14 +64,9 @@ def joined(sources: Sequence[Source]) -> Source:
     tables = sum(not name for name, _, _ in groups)
     streams = []
     for (name, _, _), parts in groups.items():
-        first = parts[0][1]
-        streams.append(
-            replace(
-                first,
-                name=name or (parts[0][0] if tables > 1 else ""),
-                columns={c: np.concatenate([stream.columns[c] for _, stream in parts]) for c in first.columns},
-                clocks={c: np.concatenate([stream.clocks[c] for _, stream in parts]) for c in first.clocks},
-            )
-        )
+        (file, first), *_ = parts
+        columns = {c: np.concatenate([stream.columns[c] for _, stream in parts]) for c in first.columns}
+        clocks = {c: np.concatenate([stream.clocks[c] for _, stream in parts]) for c in first.clocks}
+        streams.append(replace(first, name=name or (file if tables > 1 else ""), columns=columns, clocks=clocks))
     unread = dict.fromkeys(topic for source in sources for topic in source.unread)
     return Source(sources[0].name, tuple(streams), tuple(unread))

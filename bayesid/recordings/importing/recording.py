@@ -64,11 +64,8 @@ def join(signals: Sequence[Signal], source: str) -> Joined:
         ours[signal.quantity] = (*ours.get(signal.quantity, ()), *signal.ours)
     if not inside.any():
         spans = "; ".join(f"{s.called} from {s.times[0]:.6g} to {s.times[-1]:.6g} s" for s in signals)
-        raise InputError(
-            f"topics do not overlap in time: {spans}",
-            file=source,
-            remedy=f"are they on different clocks? try {argument('clock', 'log')}",
-        )
+        remedy = f"are they on different clocks? try {argument('clock', 'log')}"
+        raise InputError(f"topics do not overlap in time: {spans}", file=source, remedy=remedy)
     left = int(len(inside) - inside.sum())
     if left:
         how.append(f"{left} of {len(inside)} rows are left out, in which a topic has a gap, has not begun or has ended")
@@ -90,17 +87,20 @@ def _brought(signal: Signal, base: Signal) -> tuple[np.ndarray, np.ndarray, str]
     there = (at >= times[0]) & (at <= times[-1]) & (times[right] - times[right - 1] <= GAP * signal.step)
     ratio = base.step / signal.step
     if signal.quantity in _READINGS and ratio >= _FASTER:
+        from scipy.interpolate import make_interp_spline  # takes longer to import than most logs take to read
+
         half = 0.5 * base.step
         low, high = np.maximum(at - half, times[0]), np.minimum(at + half, times[-1])
         width = np.where(there, high - low, 1.0)[:, None]
-        mean = (_integral(times, values, high) - _integral(times, values, low)) / width
+        integral = make_interp_spline(times, values, k=1).antiderivative()
+        mean = (integral(high) - integral(low)) / width
         return mean, there, f"{signal.called}: mean over {1e3 * base.step:.3g} ms about each row ({ratio:.3g} samples)"
     return _interpolated(times, values, at, signal.step), there, f"{signal.called}: interpolated (cubic splines)"
 
 
 def _interpolated(times: np.ndarray, values: np.ndarray, at: np.ndarray, step: float) -> np.ndarray:
     """Values (N, k) at other times, each piece between gaps by its own spline."""
-    from scipy.interpolate import CubicSpline  # takes longer to import than most logs take to read
+    from scipy.interpolate import CubicSpline  # as above
 
     edges = np.concatenate([[0], np.flatnonzero(np.diff(times) > GAP * step) + 1, [len(times)]])
     out = np.full((len(at), values.shape[1]), np.nan)
@@ -110,15 +110,6 @@ def _interpolated(times: np.ndarray, values: np.ndarray, at: np.ndarray, step: f
         if rows.any():
             out[rows] = CubicSpline(times[piece], values[piece])(at[rows]) if last - first > 1 else values[first]
     return out
-
-
-def _integral(times: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Integral of values (N, k) from the first time on, straight between samples, up to other times."""
-    steps, rise = np.diff(times)[:, None], np.diff(values, axis=0)
-    whole = np.vstack([np.zeros(values.shape[1]), np.cumsum(0.5 * (values[1:] + values[:-1]) * steps, axis=0)])
-    k = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
-    dt = (at - times[k])[:, None]
-    return whole[k] + values[k] * dt + 0.5 * (rise[k] / steps[k]) * dt**2
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -11,10 +12,9 @@ from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, is_number, listed
 from bayesid.recordings.importing.clock import RowTimes
-from bayesid.recordings.importing.column_map import ColumnMap, quantity_of
+from bayesid.recordings.importing.column_map import NEED_CONSTANT, UNITS, ColumnMap, quantity_of
 from bayesid.recordings.importing.found_columns import FoundColumn, Layout
 from bayesid.recordings.importing.stream import Stream
-from bayesid.recordings.importing.units import NEED_CONSTANT, UNITS
 from bayesid.recordings.motion_checks import Timing, rows_held
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table, check_increasing
 from bayesid.recordings.toml_file import LARGEST
@@ -130,21 +130,14 @@ def _converted(found: FoundColumn, stated: ColumnMap, joints: Sequence[str], sou
     quantity = quantity_of(found.ours)
     raw = found.stream.columns[found.column]
     place = f'column "{cut(found.stream.full_name(found.column), 80)}"'
+    wrong = partial(InputError, file=source, remedy="correct it, or leave the cell empty")
     try:
         values = raw.astype(np.float64)
     except (TypeError, ValueError):
-        row = next(k for k, cell in enumerate(raw) if not is_number(cell))
-        raise InputError(
-            f'"{cut(str(raw[row]))}" is no number', file=source, key=f"{place}, row {row}", value=str(raw[row]),
-            remedy="correct it, or leave the cell empty",
-        ) from None  # fmt: skip
-    wrong = np.flatnonzero(np.isinf(values) | (np.abs(values) > LARGEST))
-    if len(wrong):
-        row = int(wrong[0])
-        raise InputError(
-            f"{values[row]:g} is no reading", file=source, key=f"{place}, row {row}", value=float(values[row]),
-            remedy="correct it, or leave the cell empty",
-        )  # fmt: skip
+        row, text = next((k, str(cell)) for k, cell in enumerate(raw) if not is_number(cell))
+        raise wrong(f'"{cut(text)}" is no number', key=f"{place}, row {row}", value=text) from None
+    for row in np.flatnonzero(np.isinf(values) | (np.abs(values) > LARGEST))[:1].tolist():
+        raise wrong(f"{values[row]:g} is no reading", key=f"{place}, row {row}", value=float(values[row]))
     unit = stated.unit(found.ours) or found.unit
     joint = joints[int(found.ours.removeprefix(quantity)) - 1] if found.ours not in WRENCH_COLUMNS else ""
     scale = stated.factor(found.ours, joint)

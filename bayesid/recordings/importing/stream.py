@@ -45,11 +45,6 @@ class Stream:
     #: got it); empty for a table, whose times are a column.
     clocks: Mapping[str, np.ndarray] = field(default_factory=dict)
     frame: str = ""  # the frame that its messages name; empty where there is none
-    notes: tuple[str, ...] = ()  # what was noticed on reading, one line each
-
-    def __len__(self) -> int:
-        """Number of rows."""
-        return next((len(values) for values in (*self.columns.values(), *self.clocks.values())), 0)
 
     def full_name(self, column: str) -> str:
         """The column's name with its topic's before it."""

@@ -6,6 +6,7 @@ import csv
 import json
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ def read_csv(path: Path) -> Stream:
     """
     import pandas as pd
 
-    lines = _first_lines(path)
+    lines, wrong = _first_lines(path), partial(InputError, file=path.name)
     skipped, separator = _header_line(lines, path.name)
     header = [
         name.strip() for name in next(csv.reader([lines[skipped].lstrip("# ")], delimiter=separator, skipinitialspace=True))
@@ -36,9 +37,7 @@ def read_csv(path: Path) -> Stream:
     trailing = len(header) > 1 and not header[-1]  # some loggers end every line with a separator
     for name in header[: len(header) - trailing]:
         if header.count(name) > 1 and name:
-            raise InputError(
-                f"there are {header.count(name)} of it", file=path.name, key=f"column {cut(name)}", remedy="keep one"
-            )
+            raise wrong(f"there are {header.count(name)} of it", key=f"column {cut(name)}", remedy="keep one")
     decimal = "," if separator == ";" and any(re.search(r"\d,\d", line) for line in lines[skipped + 1 :]) else "."
     count_lines(path, path.name, len(header), separator, skipped)
     try:
@@ -47,11 +46,9 @@ def read_csv(path: Path) -> Stream:
             index_col=False, skipinitialspace=True, encoding="utf-8-sig", low_memory=False,
         )  # fmt: skip
     except (ValueError, OverflowError) as error:  # pandas' parser errors and Unicode's are ValueErrors too
-        raise InputError(
-            f"cannot be read as CSV ({cut(one_line(str(error)), 80)})", file=path.name, remedy="check the file"
-        ) from None
+        raise wrong(f"cannot be read as CSV ({cut(one_line(str(error)), 80)})", remedy="check the file") from None
     if not len(frame):
-        raise InputError("has a header but no rows", file=path.name, remedy="give one row per sample")
+        raise wrong("has a header but no rows", remedy="give one row per sample")
     columns = {name: frame[k].to_numpy() for k, name in enumerate(header) if name}
     return Stream("", _by_joint(columns))
 
@@ -93,14 +90,15 @@ def _arrow_column(name: str, column: Any) -> dict[str, np.ndarray]:
 
 
 def _first_lines(path: Path) -> list[str]:
+    wrong = partial(InputError, file=path.name, remedy="export the table as CSV in UTF-8")
     with path.open("rb") as handle:
         block = handle.read(_LONGEST_LINE)
     if b"\0" in block:
-        raise InputError("holds zero bytes and is no text", file=path.name, remedy="export the table as CSV in UTF-8")
+        raise wrong("holds zero bytes and is no text")
     try:
         text = block.decode("utf-8-sig", errors="strict" if len(block) < _LONGEST_LINE else "ignore")
     except UnicodeDecodeError:
-        raise InputError("is not UTF-8 text", file=path.name, remedy="export the table as CSV in UTF-8") from None
+        raise wrong("is not UTF-8 text") from None
     return text.splitlines()[: 10 * _SNIFFED]
 
 
@@ -119,10 +117,8 @@ def _header_line(lines: list[str], source: str) -> tuple[int, str]:
         counts[" "] = lines[first].count(" ")  # as logs of Universal Robots' RTDE have it
         separator = " "
     if not counts[separator]:
-        raise InputError(
-            f'line {first + 1} names one column, "{cut(lines[first].strip())}"', file=source,
-            remedy="separate columns with commas, semicolons or tabs",
-        )  # fmt: skip
+        problem = f'line {first + 1} names one column, "{cut(lines[first].strip())}"'
+        raise InputError(problem, file=source, remedy="separate columns with commas, semicolons or tabs")
     return first, separator
 
 
@@ -152,22 +148,22 @@ def read_lerobot(path: Path, episodes: Sequence[int] = ()) -> tuple[Source, ...]
     ``path`` is the folder with ``meta/info.json``; without ``episodes`` all are read. An `InputError` where pyarrow is not
     installed, info.json is damaged or of another version, or an episode is not there.
     """
-    info = _read_info(path)
+    info, wrong = _read_info(path), partial(InputError, file=path.name)
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
-        raise InputError("has no data/**/*.parquet", file=path.name, remedy="fetch the data set whole")
+        raise wrong("has no data/**/*.parquet", remedy="fetch the data set whole")
     named: dict[str, np.ndarray] = {}
     tables = [read_parquet(file).columns for file in files]
     for column in tables[0]:
         if all(column in table for table in tables):
             named[_named(column, info)] = np.concatenate([table[column] for table in tables])
     if "episode_index" not in named or "timestamp" not in named:
-        raise InputError("has no columns episode_index and timestamp", file=path.name, remedy="give a data set of version 3")
+        raise wrong("has no columns episode_index and timestamp", remedy="give a data set of version 3")
     number = named["episode_index"].astype(int)
     there = sorted(set(number.tolist()))
     for episode in episodes:
         if episode not in there:
-            raise InputError(f"no episode {episode}", file=path.name, remedy=f"there are {listed([str(e) for e in there])}")
+            raise wrong(f"no episode {episode}", remedy=f"there are {listed([str(e) for e in there])}")
     sources = []
     for episode in episodes or there:
         rows = np.flatnonzero(number == episode)
@@ -177,16 +173,15 @@ def read_lerobot(path: Path, episodes: Sequence[int] = ()) -> tuple[Source, ...]
 
 
 def _read_info(path: Path) -> dict[str, Any]:
+    wrong = partial(InputError, file=f"{path.name}/{INFO.as_posix()}")
     try:
         info = json.loads((path / INFO).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"cannot be read ({cut(one_line(str(error)), 80)})", file=f"{path.name}/{INFO.as_posix()}") from None
+        raise wrong(f"cannot be read ({cut(one_line(str(error)), 80)})") from None
     version = str(info.get("codebase_version", "")) if isinstance(info, dict) else ""
     if not version.startswith("v3"):
-        raise InputError(
-            f'"{cut(version)}" is not version 3', file=f"{path.name}/{INFO.as_posix()}", key="codebase_version", value=version,
-            remedy="convert the data set to version 3 with LeRobot's own tool",
-        )  # fmt: skip
+        remedy = "convert the data set to version 3 with LeRobot's own tool"
+        raise wrong(f'"{cut(version)}" is not version 3', key="codebase_version", value=version, remedy=remedy)
     return info
 
 
