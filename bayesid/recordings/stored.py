@@ -18,7 +18,7 @@ import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, listed, one_line
-from bayesid.recordings.table import GAP, Table, of_every_joint, usual_step
+from bayesid.recordings.table import GAP, JOIN, Table, of_every_joint, usual_step
 from bayesid.recordings.table_reader import EMPTY, column_groups, count_lines, open_parquet, read_header
 from bayesid.recordings.toml_file import LARGEST
 from bayesid.tasks import map_tasks
@@ -206,10 +206,9 @@ def _scanned(layout: _Layout, parts: list[FilePart], joints: int) -> StoredTable
             continue
         if last is not None:
             if scan.begin <= last.end:
-                raise InputError(
-                    f"time goes from {last.end:.10g} to {scan.begin:.10g}", file=layout.source, key="column t", value=scan.begin,
-                    remedy="times must strictly increase: sort the rows, and leave out those of the same time",
-                )  # fmt: skip
+                problem = f"time goes from {last.end:.10g} to {scan.begin:.10g}"
+                remedy = "times must strictly increase: sort the rows, and leave out those of the same time"
+                raise InputError(problem, file=layout.source, key="column t", value=scan.begin, remedy=remedy)
             if scan.begin - last.end > GAP * step:
                 gaps.append(starts[-1])
             else:
@@ -223,19 +222,16 @@ def _scanned(layout: _Layout, parts: list[FilePart], joints: int) -> StoredTable
         last = scan
     rows, lost = sum(s.rows for s in scans), sum(len(s.dropped) for s in scans)
     if last is None or 2 * lost > rows:
-        raise InputError(
-            f"{lost} of {rows} rows have no reading or the time of the row before", file=layout.source, value=lost,
-            remedy="if topics of different rates were joined, interpolate them at the times of one; else leave the column out",
-        )  # fmt: skip
-    notes = ()
-    if lost:
-        notes = (
-            f"{layout.source}: {lost} rows without a reading or with the time of the row before left out, nothing is filled in; "
-            "check the logger",
-        )
-    return StoredTable(
-        layout, tuple(kept), np.array(starts), np.array(begins), dropped, tuple(gaps), step, last.end, joints, notes
+        problem = f"{lost} of {rows} rows have no reading or the time of the row before"
+        raise InputError(problem, file=layout.source, value=lost, remedy=JOIN)
+    note = (
+        f"{layout.source}: {lost} rows without a reading or with the time of the row before left out, nothing is filled in; "
+        "check the logger"
     )
+    return StoredTable(
+        layout, tuple(kept), np.array(starts), np.array(begins), dropped, tuple(gaps), step, last.end, joints,
+        (note,) if lost else (),
+    )  # fmt: skip
 
 
 def _scan(layout: _Layout, step: float, part: FilePart, before: float = -np.inf) -> _Scan:

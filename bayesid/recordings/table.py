@@ -13,6 +13,9 @@ import numpy as np
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import columns_of
 
+#: What to do about rows of which most lack a reading.
+JOIN = "if topics of different rates were joined, interpolate them at the times of one; else leave the column out"
+
 
 def usable_rows(
     times: np.ndarray, columns: Mapping[str, np.ndarray], source: str, place: Callable[[int], str]
@@ -44,8 +47,7 @@ def usable_rows(
         notes.append(_note("column t", repeats, "at the time of the row before", source, place, times))
     missing = np.flatnonzero(empty)
     if len(missing):
-        remedy = "if topics of different rates were joined, interpolate them at the times of one; else leave the column out"
-        _refuse_most("no reading", missing, len(times), source, columns_of(holes), place(int(missing[0])), remedy)
+        _refuse_most("no reading", missing, len(times), source, columns_of(holes), place(int(missing[0])), JOIN)
         notes.append(_note(columns_of(holes), missing, "without a reading", source, place, times))
     return np.union1d(missing, repeats), tuple(notes)
 

@@ -31,23 +31,13 @@ _REMEDIES = {
 }
 
 
-def read_bytes(path: Path, source: str) -> bytes:
-    """What a file holds; InputError where it cannot be read, under the name that messages call it."""
-    if not path.is_file():
-        raise InputError("no such file", file=source, remedy="name the robot's URDF")
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=source, remedy="give a readable file") from None
-
-
 def parse_xml(data: bytes, source: str) -> ET.Element:
     """Read XML into its root element.
 
     An `InputError` where it is no well-formed XML, declares a document type (entities grow without bound and read other files),
     or nests elements a hundred deep. No content of the file is quoted; ``source`` is what messages call it.
     """
-    builder = ET.TreeBuilder()
+    builder, wrong = ET.TreeBuilder(), partial(InputError, file=source)
     parser = expat.ParserCreate(namespace_separator="}")
     depth = 0
 
@@ -55,10 +45,8 @@ def parse_xml(data: bytes, source: str) -> ET.Element:
         nonlocal depth
         depth += 1
         if depth > _DEEPEST:
-            raise InputError(
-                f"line {parser.CurrentLineNumber}: elements are nested more than {_DEEPEST} deep",
-                file=source, remedy="cannot be read as a URDF: check the file",
-            )  # fmt: skip
+            problem = f"line {parser.CurrentLineNumber}: elements are nested more than {_DEEPEST} deep"
+            raise wrong(problem, remedy="cannot be read as a URDF: check the file")
         builder.start(_qualified(tag), {_qualified(key): value for key, value in attributes.items()})
 
     def end(tag: str) -> None:
@@ -67,7 +55,7 @@ def parse_xml(data: bytes, source: str) -> ET.Element:
         builder.end(_qualified(tag))
 
     def doctype(*_: object) -> None:
-        raise InputError(f"line {parser.CurrentLineNumber}: <!DOCTYPE is not read", file=source, remedy="remove it, entities too")
+        raise wrong(f"line {parser.CurrentLineNumber}: <!DOCTYPE is not read", remedy="remove it, entities too")
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CharacterDataHandler = builder.data
@@ -77,12 +65,10 @@ def parse_xml(data: bytes, source: str) -> ET.Element:
         parser.Parse(data, True)
     except expat.ExpatError as error:
         reason = expat.ErrorString(error.code)
-        raise InputError(
-            f"cannot be read as a URDF: line {error.lineno}: {reason}",
-            file=source, remedy=_REMEDIES.get(reason, "correct the XML there"),
-        ) from None  # fmt: skip
+        remedy = _REMEDIES.get(reason, "correct the XML there")
+        raise wrong(f"cannot be read as a URDF: line {error.lineno}: {reason}", remedy=remedy) from None
     except (LookupError, ValueError):  # an encoding that Python knows, but that is none of single bytes
-        raise InputError("cannot be read as a URDF: its encoding", file=source, remedy="save the file as UTF-8") from None
+        raise wrong("cannot be read as a URDF: its encoding", remedy="save the file as UTF-8") from None
     return builder.close()
 
 
@@ -176,8 +162,13 @@ def read_urdf(given: str | Path, folder: Path | None = None) -> UrdfFile:
         It is no XML, or no robot: which link or joint, which value, what to do. A package is missing that the format needs.
     """
     source = locate(given, folder)
-    path = source.path
-    data = read_bytes(path, path.name)
+    path, wrong = source.path, partial(InputError, file=source.path.name)
+    if not path.is_file():
+        raise wrong("no such file", remedy="name the robot's URDF")
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise wrong(f"cannot be read ({error.strerror})", remedy="give a readable file") from None
     root = parse_xml(data, path.name)
     if root.tag == "mujoco":
         robot = read_mjcf(path)

@@ -39,7 +39,7 @@ def complete_effects(
     given = effects if isinstance(effects, Mapping) else dict.fromkeys(effects)
     out: dict[str, dict[str, float]] = {}
     for spec, own in given.items():
-        for effect in _parse(spec, robot, library or EffectLibrary()):
+        for effect in places_of(spec, robot, library or EffectLibrary()):
             own_here = own
             if own is None:
                 own_here = stated.get(effect.spec, stated.get(spec, stated.get(effect.name)))
@@ -54,24 +54,13 @@ def complete_effects(
     return out
 
 
-def _parse(spec: str, robot: Robot, library: EffectLibrary, gear_ratio: Mapping[str, float] | None = None) -> tuple[Effect, ...]:
+def places_of(
+    spec: str, robot: Robot, library: EffectLibrary, gear_ratio: Mapping[str, float] | None = None
+) -> tuple[Effect, ...]:
+    """An effect, ``name`` or ``name@where``, at each of its places; gear ratios are by the joint's name."""
     library.named(spec.partition("@")[0], spec, "'{}' cannot be simulated")
     channels = (*WRENCH_NAMES, *(f"tau{i + 1}" for i in range(robot.n)))
     return library.parse([spec], robot.joint_names, channels, gear_ratio)
-
-
-def plant_terms(
-    robot: Robot,
-    plant: Mapping[str, Mapping[str, float]],
-    gear_ratio: Mapping[str, float] | None = None,
-    library: EffectLibrary | None = None,
-) -> tuple[Term, ...]:
-    """`complete_effects` as terms of the exact model; gear ratios are by the joint's name."""
-    return tuple(
-        Term(effect, tuple(values[key] for key in effect.parameters))
-        for spec, values in plant.items()
-        for effect in _parse(spec, robot, library or EffectLibrary(), gear_ratio)
-    )
 
 
 def at_encoders(robot: Robot, segment: MotionSegment, terms: Sequence[Term]) -> MotionSegment:

@@ -32,7 +32,7 @@ from bayesid.recordings.toml_file import LARGEST
 from bayesid.recordings.writer import write_experiment
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
-from bayesid.simulation.plant import Values, at_encoders, complete_effects, plant_readings, plant_terms
+from bayesid.simulation.plant import Values, at_encoders, complete_effects, places_of, plant_readings
 from bayesid.simulation.trajectories import Trajectory, new_trajectories, recorded_trajectories
 
 
@@ -259,7 +259,11 @@ class _Bench:
         self, setup: Experiment, links: np.ndarray, plant, recorder: Recorder, rng: np.random.Generator, middle: np.ndarray | None
     ):
         self.robot, self.links, self.recorder, self.rng = setup.robot, links, recorder, rng
-        self.terms = plant_terms(setup.robot, plant, setup.gear_ratio, setup.library)
+        self.terms = tuple(
+            Term(effect, tuple(values[key] for key in effect.parameters))
+            for spec, values in plant.items()
+            for effect in places_of(spec, setup.robot, setup.library, setup.gear_ratio)
+        )
         self.middle = middle
         self.torque = torque_channels(self.robot)
         self.wrench = None

@@ -142,15 +142,6 @@ def sums(
     return out
 
 
-def corrections(functions: Functions, found: Sequence[Sums], joints: Sequence[int | None]) -> list[list[Correction]]:
-    """A correction of each channel by each of the ways there are; ``joints`` are those whose torques it reads, or None."""
-    every = np.arange(functions.count)
-    sets = [[every] * len(joints)]
-    if any(joint is not None for joint in joints):
-        sets.append([every if joint is None else functions.of_joint(joint) for joint in joints])
-    return [correction for columns in sets for correction in _ways(found, columns, functions.count)]
-
-
 def _ways(sums: Sequence[Sums], functions: Sequence[np.ndarray], count: int) -> Iterator[list[Correction]]:
     """By functions alone, or with one set of rigid parameters for all channels fitted again beside them, freely or penalised.
 
@@ -285,9 +276,13 @@ class FlexibleModel:
 
     def ways(self, solution: np.ndarray) -> list[list[Correction]]:
         """A correction of each channel by each of the ways there are, for parameters, base then effects (p,)."""
-        fitted = self.fitted
+        fitted, functions = self.fitted, self.functions
         found = sums(self.grams, self.values, fitted.columns, fitted.residual(solution), fitted.inside)
-        return corrections(self.functions, found, self.joints)
+        every = np.arange(functions.count)
+        sets = [[every] * len(self.joints)]
+        if any(joint is not None for joint in self.joints):
+            sets.append([every if joint is None else functions.of_joint(joint) for joint in self.joints])
+        return [correction for columns in sets for correction in _ways(found, columns, functions.count)]
 
 
 def flexible_gaps(

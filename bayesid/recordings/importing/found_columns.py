@@ -6,6 +6,7 @@ import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from bayesid.arguments import argument
 from bayesid.errors import InputError
@@ -81,9 +82,8 @@ def find_columns(
     if not positions:
         raise InputError(f"no positions of {listed(wanted, 6)} are found", file=source, remedy=finder.what_to_name(wanted))
     if joints is not None and (missing := [name for k, name in enumerate(joints) if k not in positions]):
-        raise InputError(
-            f"no positions of {listed(missing)} are found", file=source, remedy=f"name their columns; {_shown(streams)}"
-        )
+        remedy = f"name their columns; {_shown(streams)}"
+        raise InputError(f"no positions of {listed(missing)} are found", file=source, remedy=remedy)
     present = [k for k in range(len(wanted)) if k in positions]
     names = tuple(wanted[k] for k in present)
     place = {k: at for at, k in enumerate(k for k, name in enumerate(names) if name not in locked)}  # of those that are used
@@ -131,6 +131,7 @@ class _Finder:
 
     def __init__(self, streams: Sequence[Stream], stated: ColumnMap, source: str) -> None:
         self.streams, self.stated, self.source = streams, stated, source
+        self._misstated = partial(InputError, file=stated.file or source)
 
     def of_joints(self, quantity: str, joints: Sequence[str], must: bool = False) -> dict[int, tuple[Stream, str]]:
         """Columns of a quantity by the index of the joint, as stated or found; ``must`` as for `by_number`."""
@@ -151,11 +152,9 @@ class _Finder:
         elif given is not None:
             names = self._entries(given, quantity) if isinstance(given, str) else list(given)
             if len(names) != len(joints):
-                raise InputError(
-                    f"{len(names)} columns for {len(joints)} joints ({listed(joints, 8)})", file=self.stated.file or self.source,
-                    key=f"columns {quantity}", value=given,
-                    remedy=f"name one column a joint, or the joints that these are of ({argument('joints')})",
-                )  # fmt: skip
+                problem = f"{len(names)} columns for {len(joints)} joints ({listed(joints, 8)})"
+                remedy = f"name one column a joint, or the joints that these are of ({argument('joints')})"
+                raise self._misstated(problem, key=f"columns {quantity}", value=given, remedy=remedy)
             found = {k: self._must(name, quantity) for k, name in enumerate(names)}
         for k in range(len(joints)):
             one = columns.get(f"{quantity}{k + 1}")
@@ -196,17 +195,13 @@ class _Finder:
             if len(exact) != 1:
                 raise self._ambiguous(quantity, [s.full_name(c) for g in fitting for s, c in list(g.values())[:1]])
             fitting = exact
-        if not fitting:
-            if must and whole:
-                columns = [column for _, column in whole[0].values()]
-                raise InputError(
-                    f"{len(columns)} positions ({columns[0]} ... {columns[-1]}) but {len(joints)} joints ({listed(joints, 10)})",
-                    file=self.source,
-                    remedy=f"name those of all these columns, in their order ({argument('joints')}); {argument('locked')} leaves "
-                    "out what is not to be used",
-                )  # fmt: skip
-            return {}
-        return {k: place for k, (_, place) in enumerate(sorted(fitting[0].items()))}
+        if not fitting and must and whole:
+            columns = [column for _, column in whole[0].values()]
+            theirs, ours = f"({columns[0]} ... {columns[-1]})", f"({listed(joints, 10)})"
+            remedy = f"name those of all these columns, in their order ({argument('joints')}); {argument('locked')} leaves out "
+            problem = f"{len(columns)} positions {theirs} but {len(joints)} joints {ours}"
+            raise InputError(problem, file=self.source, remedy=f"{remedy}what is not to be used")
+        return {k: place for k, (_, place) in enumerate(sorted(fitting[0].items()))} if fitting else {}
 
     def stated_wrench(self) -> dict[str, tuple[Stream, str]]:
         """Columns that the user names for the wrench."""
@@ -217,17 +212,13 @@ class _Finder:
                 continue
             names = self._entries(given, key) if isinstance(given, str) else list(given)
             if len(names) != len(axes):
-                raise InputError(
-                    f"{len(names)} columns for {len(axes)}", file=self.stated.file or self.source, key=f"columns {key}",
-                    value=given, remedy=f"name those of {', '.join(axes)}",
-                )  # fmt: skip
+                remedy = f"name those of {', '.join(axes)}"
+                raise self._misstated(f"{len(names)} columns for {len(axes)}", key=f"columns {key}", value=given, remedy=remedy)
             found |= {axis: self._must(name, key) for axis, name in zip(axes, names, strict=True)}
         found |= {axis: self._must(self._text(columns[axis], axis), axis) for axis in WRENCH_COLUMNS if axis in columns}
         if found and (missing := [axis for axis in WRENCH_COLUMNS if axis not in found]):
-            raise InputError(
-                f"{', '.join(missing)} are missing although {', '.join(found)} are named", file=self.stated.file or self.source,
-                key="columns", remedy="name all six, or none",
-            )  # fmt: skip
+            problem = f"{', '.join(missing)} are missing although {', '.join(found)} are named"
+            raise self._misstated(problem, key="columns", remedy="name all six, or none")
         return {axis: found[axis] for axis in WRENCH_COLUMNS if axis in found}
 
     def wrench_by_name(self) -> dict[str, tuple[Stream, str]]:

@@ -178,19 +178,17 @@ def order(names: Sequence[str], positions: Sequence[int], torques: Sequence[int]
             says = f"the columns seem to be in another order of joints: {listed}"
             remedy = "write [robot] joints in that order"
         return Candidate("joint_order", of("q", positions), says, remedy, change, moved)
-    if list(positions) == same:
-        where = of("tau", torques)
-        says = f"the torques of {pair} seem to be exchanged"
-        remedy = f"exchange columns {' and '.join(where.split(','))}"
-        if not pair:
-            says, remedy = f"the torques seem to be in another order: {held('tau', torques)}", "reorder the columns tau"
-        return Candidate("torque_order", where, says, remedy, change, moved)
-    if list(torques) == same:
-        says = f"the positions of {pair} seem to be exchanged"
-        remedy = f"exchange {' and '.join(of('q', positions).split(','))}, or [robot] joints"
-        if not pair:
-            says, remedy = f"the positions seem to be in another order: {held('q', positions)}", "reorder the columns q"
-        return Candidate("position_order", of("q", positions), says, remedy, change, moved)
+    alone = [("torque", "tau", torques, "exchange columns {}"), ("position", "q", positions, "exchange {}, or [robot] joints")]
+    for (kind, letter, columns, exchange), others in zip(alone, (positions, torques), strict=True):
+        if list(others) == same:
+            where = of(letter, columns)
+            says, remedy = f"the {kind}s of {pair} seem to be exchanged", exchange.format(where.replace(",", " and "))
+            if not pair:
+                says, remedy = (
+                    f"the {kind}s seem to be in another order: {held(letter, columns)}",
+                    f"reorder the columns {letter}",
+                )
+            return Candidate(f"{kind}_order", where, says, remedy, change, moved)
     says = f"positions and torques seem to be in other orders: {held('q', positions)}; {held('tau', torques)}"
     where = f"{of('q', positions)};{of('tau', torques)}"
     return Candidate("column_order", where, says, "reorder the columns q and tau", change, moved)
