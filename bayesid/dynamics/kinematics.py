@@ -54,7 +54,7 @@ def _store(row, states, at, first, count):
 @jit
 def _states(q, v, a, order, parent, turn, translation, axis, slides, root, out):
     n, samples = q.shape[1], len(q)
-    rows, motion = at_rest(n, np.zeros(3)), np.zeros((n, 5 * LANES))
+    rows, motion = at_rest(n, np.zeros(3), True), np.zeros((n, 5 * LANES))
     for first in range(0, samples, LANES):
         count = min(LANES, samples - first)
         if len(root):

@@ -45,12 +45,12 @@ def put_one(x, i, value):
 
 
 @jit
-def at_rest(rows, gravity):
-    """State of rows, of a root that is the last, at rest and accelerated against gravity."""
+def at_rest(rows, gravity, by_momentum):
+    """State of rows, of a root that is the last, at rest and, but for momentum, accelerated against gravity."""
     state = np.zeros((rows + 1, STATE))
     for k in range(3):
         state[rows, 4 * k * _L : (4 * k + 1) * _L] = 1.0
-        state[rows, A + k * _L : A + (k + 1) * _L] = -gravity[k]
+        state[rows, A + k * _L : A + (k + 1) * _L] = 0.0 if by_momentum else -gravity[k]
     return state
 
 

@@ -36,6 +36,7 @@ from bayesid.dynamics.newton_euler import (
     weight_columns,
 )
 from bayesid.robot.robot import Robot
+from bayesid.signals.kernel_input import kernel_input
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Kernel:
         by_body = np.argsort(columns // 10, kind="stable")
         tables = (
             *chain(np.append(robot.order, np.arange(n, bodies)), parent, placement, translation, axis, slides),
-            channels.joint, _c(channels.twist), np.where(pick, np.argmax(channels.twist, axis=1), -1),
+            channels.joint, kernel_input(channels.twist), np.where(pick, np.argmax(channels.twist, axis=1), -1),
             channels.bodies, np.searchsorted(columns[by_body] // 10, np.arange(bodies + 1)), by_body, columns[by_body] % 10,
         )  # fmt: skip
         return cls(tables, to_reference @ robot.gravity, len(columns))
@@ -86,7 +87,7 @@ class Kernel:
         Without ``gravity`` the weight is no part of the reading: the motion wrench of [Liu1998]_ equation 24.
         """
         out = np.empty((len(positions), self._channels, self.columns)) if out is None else out
-        q, v, a = map(_c, (positions, velocities, accelerations))
+        q, v, a = map(kernel_input, (positions, velocities, accelerations))
         _regressor(False, q, v, a, *self._chain(gravity), *self.tables[6:], out, out[:0])
         return out
 
@@ -96,7 +97,7 @@ class Kernel:
         Parameters are those of `dynamics`; no acceleration is needed.
         """
         momentum, rest = np.empty((2, len(positions), self._channels, self.columns))
-        q, v = _c(positions), _c(velocities)
+        q, v = kernel_input(positions), kernel_input(velocities)
         _regressor(True, q, v, v, *self._chain(gravity), *self.tables[6:], momentum, rest)
         return momentum, rest
 
@@ -114,9 +115,9 @@ class Kernel:
         ``links`` are ten parameters a body, in the order of ``robot.parameter_names`` (10 bodies,); they need not be possible
         ones.
         """
-        q, v, a = map(_c, (positions, velocities, accelerations))
+        q, v, a = map(kernel_input, (positions, velocities, accelerations))
         out = np.empty((len(q), self._channels))
-        links = _c(links).reshape(-1, 10)
+        links = kernel_input(links).reshape(-1, 10)
         add_up_readings(q, v, a, *self._chain(gravity), *self.tables[6:10], np.arange(len(links)), links, out)
         return out
 
@@ -141,10 +142,6 @@ def dynamics_regressor(
 ) -> np.ndarray:
     """`Kernel.dynamics` of a robot and its channels."""
     return Kernel.of(robot, channels, columns).dynamics(positions, velocities, accelerations, gravity=gravity, out=out)
-
-
-def _c(array: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(array, dtype=float)
 
 
 def chain(
@@ -172,7 +169,7 @@ def _regressor(
     accelerations, without weight; so `advance` then has the spin for w' and the velocity for A.
     """
     bodies, channels, samples = len(parent), len(twist_row), len(q)
-    state, motion = at_rest(bodies, np.zeros(3) if by_momentum else gravity), np.zeros((bodies, 5 * LANES))
+    state, motion = at_rest(bodies, gravity, by_momentum), np.zeros((bodies, 5 * LANES))
     block, weight, row, other = np.zeros(6 * BLOCK), np.zeros(6 * BLOCK), np.zeros(BLOCK), np.zeros(BLOCK)
     twist, twist_rate = np.zeros((channels, 6 * LANES)), np.zeros((channels, 6 * LANES))
     for c in range(channels):
@@ -218,7 +215,7 @@ def add_up_readings(
 ):
     """Fill ``out`` with the readings of bodies, each of which moves with a row."""
     bodies, channels, samples = len(links), len(twist_row), len(q)
-    state, motion = at_rest(len(parent), gravity), np.zeros((len(parent), 5 * LANES))
+    state, motion = at_rest(len(parent), gravity, False), np.zeros((len(parent), 5 * LANES))
     wrench, total = np.zeros((bodies, 6 * LANES)), np.zeros(6 * LANES)
     twist, twist_rate = np.zeros(6 * LANES), np.zeros(6 * LANES)
     for first in range(0, samples, LANES):

@@ -340,12 +340,9 @@ def _blocks(problem: Problem, motions: Sequence[str]) -> Iterable[Block]:
     count, width = row_count(row_model, segments), len(row_model.channels) * (row_model.base.rank + row_model.extra_columns + 1)
     if row_model.filters is not None or 8 * count * width > CACHE_BYTES:
         return make_blocks(replace(row_model, filters=None), list(_pieces(row_model, segments)))
-    if tuple(motions) == problem.fitted:
-        blocks = problem.regression.pilot()
-    else:
-        blocks = problem.rows.blocks(motions)
-    moving = (b for b in blocks if b.group != "poses")
-    return moving if tuple(motions) == problem.fitted else few_of(moving, count)
+    fitted = tuple(motions) == problem.fitted
+    moving = (b for b in (problem.regression.pilot() if fitted else problem.rows.blocks(motions)) if b.group != "poses")
+    return moving if fitted else few_of(moving, count)
 
 
 def _pieces(row_model: RowModel, segments: Sequence[Segment]) -> Iterator[Segment]:
