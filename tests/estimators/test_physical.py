@@ -300,6 +300,15 @@ def test_closest_body_fits_as_well_as_the_data_demand(tmp_path):
     assert distance(fit(regression, Physical(closest=0.5)).links) >= distance(near.links)
 
 
+def test_closest_body_is_the_nominal_one_where_that_fits(tmp_path):
+    _, _, made = simulated(tmp_path, rel=0.0, std=50.0, trust=0.2)
+    near = fit(prepare(made, FitOptions("torque")).regression, Physical(closest=0.95))
+    assert near.details.misfit <= near.details.closest.largest_misfit
+    nominal = made.robot.nominal
+    off = np.abs(near.links.reshape(-1, 10) - nominal) / np.abs(nominal).max(axis=1, keepdims=True)
+    assert off.max() < 1e-4
+
+
 def test_arrays_of_ones_own_with_and_without_a_prior(panda):
     """No robot, no URDF: bodies are named by their columns; the prior is the caller's."""
     rng = np.random.default_rng(0)

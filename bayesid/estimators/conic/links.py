@@ -83,6 +83,8 @@ _UNEXPLAINED = 1e-4
 _NEXT_TO_NONE = 30.0
 #: Above this relative standard deviation, found from the data, the nominal links describe nothing.
 _DESCRIBES = 1.0
+#: Logarithm of the distance's weight beyond the usual one: exp(-10) of the usual standard deviation from the nominal links is on them.
+_NOMINAL = 20.0
 #: Without any nominal model: spheres of 1 kg with a radius of gyration of 0.1 m, known within a factor of ten.
 _TYPICAL = np.array([1.0, 0, 0, 0, 0.02, 0, 0.02, 0, 0, 0.02])
 _TYPICAL_STD = 10.0
@@ -289,10 +291,10 @@ def closest_within(limit: float, data: LinkData, prior: LinkPrior, bounds: tuple
     def beyond(log_strength: float) -> float:
         return misfit(data, solved(log_strength)[0].x) / limit - 1.0
 
-    low = float(np.log(prior.loosened))
+    start = low = float(np.log(prior.loosened))
     high = low + 3.0
     while beyond(high) < 0.0:
-        if high > low + 40.0:  # the nominal links themselves fit as well as that
+        if high > start + _NOMINAL:  # the nominal links themselves fit as well as that
             return solved(high)
         low, high = high, high + 3.0
     root: Any = brentq(beyond, low, high, xtol=1e-9)
