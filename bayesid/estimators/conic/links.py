@@ -83,7 +83,7 @@ _UNEXPLAINED = 1e-4
 _NEXT_TO_NONE = 30.0
 #: Above this relative standard deviation, found from the data, the nominal links describe nothing.
 _DESCRIBES = 1.0
-#: Logarithm of the distance's weight beyond the usual one: exp(-10) of the usual standard deviation from the nominal links is on them.
+#: Logarithm of the distance's weight over the usual one; exp(-10) of the usual standard deviation off the nominal links is none.
 _NOMINAL = 20.0
 #: Without any nominal model: spheres of 1 kg with a radius of gyration of 0.1 m, known within a factor of ten.
 _TYPICAL = np.array([1.0, 0, 0, 0, 0.02, 0, 0.02, 0, 0, 0.02])
