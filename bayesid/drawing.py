@@ -1,4 +1,4 @@
-"""What verbs register for their results, such as figures and files, found when it is first asked for."""
+"""What reports register for results, such as figures, found when it is first asked for."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ _T = TypeVar("_T")
 Figures: TypeAlias = Mapping[str, Callable[..., Any]]
 
 
-def registered_by_verb(function: Callable[[Any], _T]) -> functools._SingleDispatchCallable[_T]:
-    """A function of a result that each verb registers for the type that it returns, in its module of `bayesid.workflows`.
+def registered_by_report(function: Callable[[Any], _T]) -> functools._SingleDispatchCallable[_T]:
+    """A function of a result that each module of `bayesid.report` registers for the types that it is about.
 
-    So results need to know nothing of reports and figures. The module is loaded where it is not yet, as for a result that
-    was unpickled: the result names it in ``verb``.
+    So results need to know nothing of reports and figures. The module is loaded where it is not yet: the result names it in
+    ``report``.
     """
 
     @functools.singledispatch
     @functools.wraps(function)
     def dispatched(result: Any) -> _T:
-        if verb := getattr(type(result), "verb", ""):
-            importlib.import_module(f"bayesid.workflows.{verb}")
+        if report := getattr(type(result), "report", ""):
+            importlib.import_module(f"bayesid.report.{report}")
         found = dispatched.dispatch(type(result))
         return (function if found is dispatched.dispatch(object) else found)(result)
 
     return dispatched
 
 
-@registered_by_verb
+@registered_by_report
 def figures_of(result: object) -> Figures:
-    """Functions that draw a result's figures, by what they show; the first is that of ``plot()``. Each verb registers its own."""
-    raise TypeError(f"{type(result).__name__} has no figures: no verb in bayesid.workflows registers them")
+    """Functions that draw a result's figures, by what they show; the first is that of ``plot()``."""
+    raise TypeError(f"{type(result).__name__} has no figures: no module of bayesid.report registers them")
 
 
 class Plots:
@@ -44,11 +44,11 @@ class Plots:
 
     Attributes
     ----------
-    verb
-        The module of `bayesid.workflows` that registers its figures.
+    report
+        The module of `bayesid.report` that registers its figures.
     """
 
-    verb: ClassVar[str] = ""
+    report: ClassVar[str] = ""
 
     def plot(self, *, ax: Any = None) -> Figure:
         """Draw the figure that says most.

@@ -48,7 +48,7 @@ class Posterior(Plots, HasParameters):
         How far the data are from the prior; None with a flat one.
     """
 
-    verb = "sample"
+    report = "posterior"
     model: PosteriorModel
     chains: Chains
     seed: int = 0

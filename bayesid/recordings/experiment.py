@@ -103,7 +103,6 @@ class Experiment(Plots):
         The effects that there are: the package's and the user's own.
     """
 
-    verb = "check"
     name: str
     robot: Robot
     motions: tuple[Motion, ...]

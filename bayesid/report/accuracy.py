@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from bayesid.design.accuracy.sensor_choice import KINDS, SensorChoice
+from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import notation
-from bayesid.report.accuracy_figures import SHOWN_EFFECTS, certificate_section, susceptibility_figure, sweeps_figure
+from bayesid.report.accuracy_figures import (
+    SHOWN_EFFECTS,
+    certificate_figure,
+    certificate_section,
+    susceptibility_figure,
+    sweeps_figure,
+)
 from bayesid.report.page import cards, figure, fold, how, lead, note, page, run_times, svg, terms, versions, warnings
 from bayesid.results.accuracy import (
     NO_BIAS,
@@ -23,6 +31,7 @@ from bayesid.results.accuracy import (
     sweeps_table,
     worst_places,
 )
+from bayesid.results.files import report_of
 from bayesid.results.text import DASH, HALF, channel_text, number, percent
 from bayesid.robot import inertia
 from bayesid.section import Part, ShownSection, ShownTable
@@ -31,6 +40,7 @@ from bayesid.section import Part, ShownSection, ShownTable
 _MAPPED_PLACES = 4
 
 
+@report_of.register
 def accuracy_report(result: Accuracy) -> str:
     """The report of ``accuracy``: an HTML page with all figures inside."""
     bench, sweeps, base = result.bench, result.sweeps, result.bench.problem.row_model.base
@@ -202,3 +212,13 @@ def _how(result: Accuracy) -> list[tuple[str, str]]:
     if result.sweeps is not None:
         rows.append(("Twins", f"{result.sweeps.runs} of every simulated level, all from seed {result.sweeps.seed}"))
     return [*rows, run_times(result.seconds), versions("numpy", "scipy", "pin")]
+
+
+@figures_of.register
+def _(result: Accuracy) -> Figures:
+    figures: dict[str, Any] = {"susceptibility": partial(bias_map, result)}
+    if result.sweeps is not None:
+        figures["sweeps"] = partial(sweeps_figure, result.sweeps)
+    if result.certificate is not None:
+        figures["certificate"] = partial(certificate_figure, result.certificate, result.bench.problem.row_model.base.short_names)
+    return figures

@@ -14,9 +14,11 @@ from bayesid.design.bounds.bands import FAR, Band
 from bayesid.design.bounds.region import Region
 from bayesid.design.bounds.remainder import HALF, Remainder
 from bayesid.design.bounds.workspace import Workspace
+from bayesid.drawing import Figures, figures_of
 from bayesid.report.figures import CLASSES, DENSE, GREY, PREDICTED, add_legend, make_grid, picked, styled, tidy_time
 from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, run_times, svg, versions, warnings
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands, joints
+from bayesid.results.files import report_of
 from bayesid.results.text import channel_text, ends, number, percent, with_half
 from bayesid.section import Part, ShownSection, ShownTable
 
@@ -109,6 +111,7 @@ def remainder_figure(left: Remainder, names: Sequence[str], units: Sequence[str]
     return figure
 
 
+@report_of.register
 def bounds_report(result: ControllerBounds) -> str:
     """The report of ``bounds``: an HTML page with all figures inside."""
     known, region, w = result.known, result.region, result.workspace
@@ -293,3 +296,8 @@ def _how(result: ControllerBounds) -> list[tuple[str, str]]:
         run_times(result.seconds),
         versions("numpy", "scipy"),
     ]  # fmt: skip
+
+
+@figures_of.register
+def _(_: ControllerBounds) -> Figures:
+    return {"band": band_figure}

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from bayesid.arguments import call
 from bayesid.diagnosis.changes.findings import HiddenChange, NamedChange, ReferenceComparison
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
+from bayesid.drawing import Figures, figures_of
 from bayesid.report.diagnosis_figures import evidence, waterfall
 from bayesid.report.page import below, cards, figure, how, lead, note, page, svg, versions, warnings
 from bayesid.results.changes import (
+    Changes,
     gap_sentence,
     next_experiment,
     notes,
@@ -21,13 +25,9 @@ from bayesid.results.changes import (
     verdict_sentence,
     worded,
 )
+from bayesid.results.files import report_of
 from bayesid.results.text import DASH, channel_text, number, percent
 from bayesid.section import Html, ShownSection, ShownTable
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from bayesid.results.changes import Changes
 
 #: Bars in the picture of the evidence.
 _BARS = 12
@@ -37,6 +37,7 @@ _VERDICTS = {
 }  # fmt: skip
 
 
+@report_of.register
 def changes_report(result: Changes) -> str:
     """The report of ``diagnose --reference``: HTML with all figures inside."""
     c = result.comparison
@@ -178,3 +179,8 @@ def _how(result: Changes) -> list[tuple[str, str]]:
         ("Run time", f"{number(result.seconds, 3)} s"),
         versions("numpy", "scipy", "pin"),
     ]
+
+
+@figures_of.register
+def _(result: Changes) -> Figures:
+    return {"evidence": partial(evidence_figure, result)}

@@ -11,6 +11,7 @@ from bayesid.arguments import call
 from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, key, key_width, limits, text_width, write
 from bayesid.report.page import below, bullets, cards, figure, fold, lead, note, page, terms, warnings
+from bayesid.results.files import report_of
 from bayesid.results.inspection import Inspection, MotionSummary
 from bayesid.results.text import DASH, number, percent
 from bayesid.robot import inertia
@@ -110,6 +111,7 @@ _OPEN_MOTIONS = 2
 _PLOTTED = 1500
 
 
+@report_of.register
 def check_report(check: Inspection) -> str:
     """The report of ``check``: an HTML page with all figures inside."""
     robot, experiment = check.experiment.robot, check.experiment

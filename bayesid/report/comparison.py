@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import CYCLE
 from bayesid.report.figures import GREY, NOISE, add_legend, given_axes, make_grid, plain_log, styled
 from bayesid.report.identification import STATIC, mood_of
@@ -27,6 +29,7 @@ from bayesid.report.page import (
     warnings,
 )
 from bayesid.results.comparison import Comparison, Entry, in_sigmas, overview_table, values_table
+from bayesid.results.files import report_of
 from bayesid.results.loaded import LoadedComparison
 from bayesid.results.text import DASH, chance, channel_text, number, percent
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable
@@ -148,6 +151,7 @@ _DESCRIPTIONS = {
 }
 
 
+@report_of.register
 def comparison_report(result: Comparison) -> str:
     """The report of ``compare``: an HTML page with all figures inside."""
     problem, reference = result.problem, result.reference
@@ -419,3 +423,11 @@ def _how(result: Comparison) -> list[tuple[str, str]]:
         versions("numpy", "scipy", "pin"),
     ]  # fmt: skip
     return how
+
+
+@figures_of.register
+def _(result: Comparison | LoadedComparison) -> Figures:
+    errors = (
+        {"errors": partial(errors_figure, result)} if any(e.predictions for e in (*result.baselines, *result.entries)) else {}
+    )
+    return errors if result.reference is None else {**errors, "values": partial(values_figure, result, result.reference)}

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from bayesid.drawing import Figures, figures_of
 from bayesid.recordings.experiment import Motion
 from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.report.charts import CYCLE
@@ -88,3 +90,8 @@ def course_figure(
     panel.set_title(title)
     add_legend(axes, *panel.get_legend_handles_labels())
     return figure
+
+
+@figures_of.register
+def _(result: Motion) -> Figures:
+    return {"recording": partial(recording_figure, result)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from bayesid.diagnosis.push import Push
 from bayesid.diagnosis.remarks import by_kind
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.separation import Visible
+from bayesid.drawing import Figures, figures_of
 from bayesid.effects import Effect
 from bayesid.report.diagnosis_figures import before_and_after, evidence, push_course, residual_maps, signals, waterfall
 from bayesid.report.diagnosis_views import Views, diagnosis_views
@@ -39,6 +41,7 @@ from bayesid.results.diagnosis import (
     verdict_sentence,
     worded,
 )
+from bayesid.results.files import report_of
 from bayesid.results.telling import pair_table
 from bayesid.results.text import DASH, chance, channel_text, number, percent
 from bayesid.section import Cell, Part, ShownSection, ShownTable
@@ -141,6 +144,7 @@ def _said(part: SegmentPart, courses: np.ndarray, channels: tuple[int, ...]) -> 
     return segment.samples(np.stack(made, axis=1))
 
 
+@report_of.register
 def diagnosis_report(diagnosis: Diagnosis) -> str:
     """The report of ``diagnose``: HTML with all figures inside."""
     d, data, views = diagnosis, diagnosis.data, diagnosis_views(diagnosis)
@@ -568,3 +572,8 @@ def _how(d: Diagnosis) -> list[tuple[str, str]]:
         ("Run time", f"{number(d.seconds, 3)} s"),
         versions("numpy", "scipy", "pin"),
     ]  # fmt: skip
+
+
+@figures_of.register
+def _(result: Diagnosis) -> Figures:
+    return {"channels": partial(channels_figure, result)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,12 @@ from markupsafe import Markup
 
 from bayesid.arguments import argument
 from bayesid.design.tell.choose import Telling
+from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import WIDTH, Panel, chart, key, key_width, limits, text_width, write
 from bayesid.report.check import recording
 from bayesid.report.page import bullets, cards, figure, fold, lead, note, page, run_times, terms, versions, warnings
 from bayesid.results.excitation import Excitation, block_length, duration_text
+from bayesid.results.files import report_of
 from bayesid.results.telling import TRAJECTORY, DistinguishingMotion, chance, duration, pair_table
 from bayesid.results.text import DASH, number, percent
 from bayesid.section import Html, ShownSection, ShownTable
@@ -94,6 +97,7 @@ PAIRS = (
 )
 
 
+@report_of.register
 def distinguishing_report(result: DistinguishingMotion) -> str:
     """The report of ``excite --tell``: an HTML page with all figures inside."""
     t = result.telling
@@ -137,6 +141,7 @@ def panels_of(result: Excitation) -> list[tuple[str, str, list[str], np.ndarray]
     return motion_panels(parts, result.loads)
 
 
+@report_of.register
 def excitation_report(result: Excitation) -> str:
     """The report of ``excite``: an HTML page with all figures inside."""
     shares = [(_TITLES[u.kind], u.where, u.ratio) for u in result.limits if u.kind != "collision"]
@@ -281,3 +286,19 @@ def _plain(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return " ".join(_plain(v) for v in value)
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+@figures_of.register
+def _(result: Excitation) -> Figures:
+    return _figures(result.trajectory.times, panels_of(result))
+
+
+@figures_of.register
+def _(result: DistinguishingMotion) -> Figures:
+    return _figures(result.telling.trajectory.times, telling_panels(result.telling))
+
+
+def _figures(times: np.ndarray, panels: Sequence[tuple[str, str, list[str], np.ndarray]]) -> Figures:
+    from bayesid.report.curve_figures import panels_figure  # the report needs no matplotlib
+
+    return {"motion": partial(panels_figure, times, panels)}

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from bayesid.report.page import how, note, page, terms, versions, warnings
 from bayesid.results.exported import Exported
+from bayesid.results.files import report_of
 from bayesid.results.text import channel_text, number
 from bayesid.section import ShownSection, ShownTable
 
 
+@report_of.register
 def export_report(result: Exported) -> str:
     """The report of ``export``: which files there are, and what they do not hold."""
     rows = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -13,8 +14,10 @@ from matplotlib.patches import Patch
 
 from bayesid.design.identifiability import SetReport
 from bayesid.design.visibility import ALONE, COMBINATION, EFFECT, LETTERS, NEVER, UNEXCITED, WEAK, WORDS, by_body
+from bayesid.drawing import Figures, figures_of
 from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, plain_log, styled
 from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, run_times, svg, terms, versions, warnings
+from bayesid.results.files import report_of
 from bayesid.results.identifiability import (
     Identifiability,
     answer,
@@ -117,6 +120,7 @@ _SOURCES = {
 }  # fmt: skip
 
 
+@report_of.register
 def identifiability_report(result: Identifiability) -> str:
     """The report of ``identifiability``: an HTML page with all figures inside."""
     main, many = result.main, len(result.sensor_sets) > 1
@@ -235,3 +239,8 @@ def _how(result: Identifiability) -> list[tuple[str, str]]:
         versions("numpy", "pin"),
     ]
     return rows
+
+
+@figures_of.register
+def _(result: Identifiability) -> Figures:
+    return {"classes": partial(classes, result.sensor_sets, result.main), "expected": partial(expected_figure, result.main)}

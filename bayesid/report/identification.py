@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters, notation
 from bayesid.estimators import Estimate
 from bayesid.regression.regression import Regression
@@ -31,6 +33,7 @@ from bayesid.report.page import (
     warnings,
 )
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
+from bayesid.results.files import report_of
 from bayesid.results.identification import Identification
 from bayesid.results.loaded import LoadedIdentification
 from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_interval
@@ -162,6 +165,7 @@ _MOODS = ("good", "fair", "bad")
 _INTERVAL = ("value", "std", "low", "high")
 
 
+@report_of.register
 def identification_report(result: Identification) -> str:
     """The report of ``identify``: an HTML page with all figures inside."""
     estimate, problem = result.estimate, result.problem
@@ -591,3 +595,14 @@ def _how(result: Identification) -> list[tuple[str, str]]:
     if result.prior_check is not None:
         how.append(("Prior against data", result.prior_check.brief()))
     return [*how, *described(estimate.details.to_dict()), run_times(result.seconds), versions("numpy", "scipy", "pin")]
+
+
+@figures_of.register
+def _(result: Identification) -> Figures:
+    intervals = partial(intervals_figure, result.problem.regression, result.estimate)
+    return {"predictions": measured_against_predicted, "residuals": residuals, "intervals": intervals}
+
+
+@figures_of.register
+def _(result: LoadedIdentification) -> Figures:
+    return {"intervals": partial(intervals_figure, result, result.estimate)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -11,16 +12,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bayesid.design.payload.body import Quantity
+from bayesid.drawing import Figures, figures_of
 from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, styled
 from bayesid.report.page import below, cards, figure, how, note, page, run_times, svg, versions, warnings
 from bayesid.report.prediction_figures import measured_against_predicted
 from bayesid.results.beside import cells
 from bayesid.results.calibration import Calibration
+from bayesid.results.files import report_of
 from bayesid.results.payload import SOURCES, PayloadEstimate
 from bayesid.results.text import channel_text, number
 from bayesid.section import Html, Part, ShownSection
 
 
+@report_of.register
 def calibration_report(result: Calibration) -> str:
     """The report of ``calibrate``: an HTML page with all figures inside."""
     sections = [
@@ -41,6 +45,7 @@ def calibration_report(result: Calibration) -> str:
     )  # fmt: skip
 
 
+@report_of.register
 def payload_report(result: PayloadEstimate) -> str:
     """The report of ``payload``: an HTML page with all figures inside."""
     large = [_card("mass", result.mass, 1.0, "kg"), *(_card(f"centre of mass {q.name}", q, 1e3, "mm") for q in result.centre)]
@@ -101,3 +106,13 @@ def payload_figure(result: PayloadEstimate, ax: Any = None) -> Figure:
         panel.set_xlim(-1.0, 2.0)
     add_legend(axes, *axes[0, 0].get_legend_handles_labels())
     return figure
+
+
+@figures_of.register
+def _(result: Calibration) -> Figures:
+    return {"predictions": partial(measured_against_predicted, result.fit.fitted[0], None)}
+
+
+@figures_of.register
+def _(result: PayloadEstimate) -> Figures:
+    return {"payload": partial(payload_figure, result)}

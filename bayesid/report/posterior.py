@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from bayesid.drawing import Figures, figures_of
 from bayesid.posterior.result import Posterior
 from bayesid.report.charts import CYCLE
 from bayesid.report.figures import CLASSES, GREY, NOISE, add_legend, make_grid, picked, styled
 from bayesid.report.page import below, cards, figure, fold, how, lead, page, run_times, svg, versions, warnings
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
+from bayesid.results.files import report_of
+from bayesid.results.loaded import LoadedPosterior
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.results.text import DASH, channel_text, number, percent, with_half
 from bayesid.section import Html, Part, ShownSection, ShownTable, tag
@@ -143,6 +147,7 @@ _PRIOR_DRAWS = 4000
 _DRIVEN = 0.9
 
 
+@report_of.register
 def posterior_report(result: ExperimentPosterior) -> str:
     """The report of ``sample``: an HTML page with all figures inside."""
     problem, model = result.problem, result.model
@@ -361,3 +366,21 @@ def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
         run_times(result.seconds),
         versions("emcee", "arviz", "numpy"),
     ]
+
+
+@figures_of.register
+def _(result: Posterior) -> Figures:
+    return {"marginals": partial(marginals_figure, result), "predictive": predictive}
+
+
+@figures_of.register
+def _(result: ExperimentPosterior) -> Figures:
+    own = {"marginals": partial(marginals_figure, result), "predictive": predictive}
+    return {"predictions": measured_against_predicted, "residuals": residuals, **own}
+
+
+@figures_of.register
+def _(result: LoadedPosterior) -> Figures:
+    draws = result.base_draws.reshape(-1, result.base_draws.shape[-1])
+    names = result.base.short_names if "base_map" in result.document else list(result.names)
+    return {"marginals": partial(marginals, names, draws, None, None)}

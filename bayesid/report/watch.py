@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
+from matplotlib.figure import Figure
 
 from bayesid.arguments import argument, call
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
+from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, text_width, write
 from bayesid.report.curve_figures import course_figure
 from bayesid.report.page import figure, how, lead, note, page, svg, versions
+from bayesid.results.files import report_of
 from bayesid.results.text import HALF, channel_text, number, percent
+from bayesid.results.watch import Watch
 from bayesid.section import ShownSection
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from bayesid.results.watch import Watch
-
 
 _HEIGHT, _TOP, _BOTTOM = 150.0, 26.0, 46.0
 
@@ -45,6 +44,7 @@ def sizes(series: Sequence[tuple[str, np.ndarray, np.ndarray]], count: int, titl
     return chart(_TOP + _HEIGHT + _BOTTOM + 16.0, parts)
 
 
+@report_of.register
 def watch_report(result: Watch) -> str:
     """The report of ``watch``: HTML with all figures inside."""
     entries = result.recordings
@@ -100,3 +100,8 @@ def _sizes(result: Watch) -> list:
         sizes([(name, *both) for name, both in mine.items()], count, f"Size of the changes named [{unit}]")
         for unit, mine in units.items()
     ]
+
+
+@figures_of.register
+def _(result: Watch) -> Figures:
+    return {"gap": partial(gap_figure, result)}

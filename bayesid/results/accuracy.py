@@ -56,7 +56,7 @@ class Accuracy(ShownResult):
         Run time by stage.
     """
 
-    verb = "accuracy"
+    verb, report = "accuracy", "accuracy"
     bench: Bench
     std: np.ndarray
     sweeps: Sweeps | None

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.io import savemat
 
 from bayesid.design.bounds.bands import FAR, Band, band
 from bayesid.design.bounds.inside_joints import InsideJoints
@@ -20,8 +22,10 @@ from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL
 from bayesid.estimators.parameters import EstimatedParameter
-from bayesid.results.files import ShownResult
+from bayesid.results.files import Files, ShownResult
 from bayesid.results.text import number, percent
+from bayesid.results.urdf_links import joint_dynamics
+from bayesid.robot.urdf import write_urdf
 from bayesid.section import Part, ShownTable
 
 if TYPE_CHECKING:
@@ -94,7 +98,7 @@ class ControllerBounds(ShownResult):
         Of everything random.
     """
 
-    verb = "bounds"
+    verb, report = "bounds", "bounds"
     known: Known
     parameters: Region
     torque_model: ReadingModel
@@ -346,6 +350,17 @@ class ControllerBounds(ShownResult):
             "links_drawn": len(self.links), "sampled_urdfs": self.urdfs,
             "assumptions": list(self.assumptions), "warnings": list(self.warnings), "runtime_s": self.seconds,
         }  # fmt: skip
+
+    def _beside(self) -> Files:
+        robot, known = self.known.problem.experiment.robot, self.known
+        files: dict[str, str | Callable[[Path], Any]] = {
+            "bounds.mat": lambda path: savemat(path, self.to_matlab(), oned_as="column"),
+            "identified.urdf": lambda path: write_urdf(robot, known.urdf, path, known.dynamics),
+        }
+        for k, draw in enumerate(np.linspace(0, len(self.links) - 1, self.urdfs).astype(int), 1):
+            along = joint_dynamics(known.problem, known.links.effects[draw], ~known.undetermined[known.base.rank :])
+            files[f"sampled-{k:03d}.urdf"] = lambda path, draw=draw, along=along: write_urdf(robot, self.links[draw], path, along)
+        return files
 
     def to_matlab(self) -> dict[str, Any]:
         """``bounds.mat``: arrays for MATLAB; indices of columns count from one."""

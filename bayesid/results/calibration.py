@@ -13,7 +13,7 @@ from bayesid.design.payload.body import Quantity
 from bayesid.errors import InputError
 from bayesid.results.beside import cells
 from bayesid.results.controllers import FORMATS, Load
-from bayesid.results.files import ShownResult
+from bayesid.results.files import Files, ShownResult
 from bayesid.results.identification import Identification
 from bayesid.results.text import number
 from bayesid.section import ShownTable
@@ -71,7 +71,7 @@ class Calibration(ShownResult):
         Run time by stage.
     """
 
-    verb = "calibrate"
+    verb, report = "calibrate", "payload"
     fit: Identification
     sensor: str
     found: Mapping[str, tuple[Quantity, ...]]
@@ -125,6 +125,9 @@ class Calibration(ShownResult):
         if self.load is None:
             return {}
         return {f.file: f.write(self.load) for f in FORMATS.values() if f.of_sensor}
+
+    def _beside(self) -> Files:
+        return self.exports()
 
     def __repr__(self) -> str:
         return f"<Calibration of {self.name}: {', '.join(self.found) or 'nothing found'}>"

@@ -13,8 +13,8 @@ from bayesid.diagnosis.changes.held_out import Place
 from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
-from bayesid.recordings.schema import EffectParameters
-from bayesid.results.files import ShownResult
+from bayesid.recordings.schema import EffectParameters, write_model
+from bayesid.results.files import Files, ShownResult
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
 from bayesid.section import ShownTable, as_html
 
@@ -37,7 +37,7 @@ class Changes(ShownResult):
         Run time.
     """
 
-    verb = "changes"
+    verb, report = "diagnose", "changes"
     comparison: ReferenceComparison
     seconds: float = 0.0
 
@@ -135,6 +135,10 @@ class Changes(ShownResult):
             "next_experiment": next_experiment(c),
             "runtime_s": self.seconds,
         }  # fmt: skip
+
+    def _beside(self) -> Files:
+        effects, values = self.model
+        return {"model.toml": lambda path: write_model(effects, values, path, self.experiment.library.expressions)}
 
     def _gap(self) -> dict[str, Any]:
         p = self.comparison.errors

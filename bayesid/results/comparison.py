@@ -202,7 +202,7 @@ class Comparison(HasEntries, ShownResult):
         Run time by stage.
     """
 
-    verb = "compare"
+    verb, report = "compare", "comparison"
     regression: Regression
     problem: Problem | None
     weights: Weights

@@ -22,11 +22,11 @@ from bayesid.diagnosis.validation import Gap
 from bayesid.effects import Effect, Term
 from bayesid.effects.effect import Derived
 from bayesid.estimators.parameters import with_ends
-from bayesid.recordings.schema import EffectParameters
-from bayesid.results.described import described_lines, description_dict, terms_of
-from bayesid.results.files import ShownResult
+from bayesid.recordings.schema import EffectParameters, write_model
+from bayesid.results.described import DRAFT, described_lines, description_dict, terms_of, write_draft
+from bayesid.results.files import Files, ShownResult
 from bayesid.results.fitted_model import fitted_model
-from bayesid.results.telling import NEXT_MOTION, telling_dict
+from bayesid.results.telling import NEXT_MOTION, telling_dict, write_motion
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
 from bayesid.section import Part, ShownTable, as_html
 from bayesid.validation.own_fit import MotionErrors
@@ -83,7 +83,7 @@ class Diagnosis(ShownResult):
         What `bayesid.identify` leaves of every motion without and with the effects named; those that were not fitted first.
     """
 
-    verb = "diagnose"
+    verb, report = "diagnose", "diagnosis"
     data: DiagnosisData
     verdict: str
     search: Search
@@ -230,6 +230,15 @@ class Diagnosis(ShownResult):
             "next_motion": None if self.telling is None else telling_dict(self.telling, NEXT_MOTION),
             "runtime_s": self.seconds,
         }  # fmt: skip
+
+    def _beside(self) -> Files:
+        effects, values = self.model
+        files = {"model.toml": lambda path: write_model(effects, values, path, self.data.experiment.library.expressions)}
+        if (telling := self.telling) is not None:
+            files[NEXT_MOTION] = lambda path: write_motion(telling, path)
+        if (description := self.description) is not None:
+            files[DRAFT] = lambda path: write_draft(description, self.data.experiment, path)
+        return files
 
     def _gap(self) -> dict[str, Any] | None:
         """The gap of the model as it is handed on: an attempt that was not accepted closes nothing."""

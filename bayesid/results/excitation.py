@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 
 from bayesid.design.excitation.blocks import ScriptedBlock, StopAndGo
 from bayesid.design.excitation.diagnosability import Diagnosability
 from bayesid.design.excitation.series import FourierSeries
 from bayesid.dynamics.base_parameters import BaseParameters
-from bayesid.results.files import ShownResult, strict
+from bayesid.results.files import Files, ShownResult, strict
 from bayesid.results.text import number, percent
 from bayesid.section import ShownTable
-from bayesid.simulation.trajectories import Trajectory
+from bayesid.simulation.trajectories import Trajectory, write_trajectory
 
 SCHEMA = 1
 _KINDS = {
@@ -106,7 +109,7 @@ class Excitation(ShownResult):
         Run time of every stage.
     """
 
-    verb = "excite"
+    verb, report = "excite", "excitation"
     name: str
     joint_names: tuple[str, ...]
     prismatic: np.ndarray
@@ -209,6 +212,16 @@ class Excitation(ShownResult):
         }  # fmt: skip
         return strict(document)
 
+    def _beside(self) -> Files:
+        motions = [self.trajectory, *(b.trajectory for b in self.blocks)]
+        files: dict[str, str | Callable[[Path], Any]] = {
+            f"{motion.name}.csv": partial(write_trajectory, motion) for motion in motions
+        }
+        files["motions.toml"] = tomli_w.dumps({"motion": [_section(motion) for motion in motions]})
+        if self.static_run is not None:
+            files["stop-and-go.csv"] = partial(_write_stops, self.static_run)
+        return files
+
     def __repr__(self) -> str:
         state = "within all limits" if self.within_limits else "outside its limits"
         return f"<Excitation {self.name}: {len(self.joint_names)} joints, {self.trajectory.times[-1]:g} s, {state}>"
@@ -244,3 +257,20 @@ class Excitation(ShownResult):
         if self.interrupted:
             lines.append("interrupted: this is the best motion so far")
         return [*lines, *(f"note: {note}" for note in self.notes)]
+
+
+def _section(motion: Trajectory) -> dict[str, Any]:
+    """``[[motion]]`` of experiment.toml for a recording of this motion."""
+    section: dict[str, Any] = {"name": motion.name, "role": motion.role, "kind": motion.kind, "table": f"{motion.name}.csv"}
+    section |= {} if motion.period is None else {"period": float(motion.period)}
+    section |= {"parked": [list(map(float, interval)) for interval in motion.parked]} if motion.parked else {}
+    return section | ({} if motion.static_positions is None else {"static": f"{motion.name}_static.csv"})
+
+
+def _write_stops(run: StopAndGo, path: Path) -> None:
+    """The schedule as a table: row of the motion, time of arrival and of reading, and the positions."""
+    from pandas import DataFrame
+
+    columns = {"row": run.rows, "arrive": run.arrive, "read_start": run.start, "read_end": run.end}
+    columns |= {f"q{j + 1}": run.positions[:, j] for j in range(run.positions.shape[1])}
+    DataFrame(columns).to_csv(path, index=False, float_format="%.9g")

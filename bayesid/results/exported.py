@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from bayesid.results.files import ShownResult
+from bayesid.results.files import Files, ShownResult
 from bayesid.section import ShownTable
 
 SCHEMA = 1
@@ -33,7 +33,7 @@ class Exported(ShownResult):
         What the user should know.
     """
 
-    verb = "export"
+    verb, report = "export", "export"
     name: str
     method: str
     channel: str
@@ -46,6 +46,9 @@ class Exported(ShownResult):
     def __getitem__(self, name: str) -> str:
         """Text of a file."""
         return self.texts[name]
+
+    def _beside(self) -> Files:
+        return self.texts
 
     def __repr__(self) -> str:
         return f"<Exported {self.name}: {', '.join(self.to)}>"

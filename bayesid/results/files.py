@@ -9,12 +9,12 @@ import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
 from bayesid.arguments import argument
-from bayesid.drawing import Plots, registered_by_verb
+from bayesid.drawing import Plots, registered_by_report
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut
 from bayesid.recordings.whole import whole_folder
@@ -68,36 +68,39 @@ WRITTEN = {
 }
 
 
-class Files(NamedTuple):
-    """What a verb writes.
-
-    Attributes
-    ----------
-    documents
-        JSON-serialisable objects by file name.
-    others
-        Texts, or functions that write a file at the given path, by file name.
-    report
-        Text of ``report.html``.
-    """
-
-    documents: Mapping[str, Any]
-    others: Mapping[str, str | Callable[[Path], Any]]
-    report: str
+#: Texts, or functions that write a file at the given path, by file name.
+Files: TypeAlias = Mapping[str, str | Callable[[Path], Any]]
 
 
-@registered_by_verb
-def files_of(result: object) -> Files:
-    """The files of a result; each verb registers its own, so that results need to know nothing of reports."""
-    raise TypeError(f"{type(result).__name__} has no files: no verb in bayesid.workflows registers them")
+@registered_by_report
+def report_of(result: object) -> str:
+    """Text of a result's ``report.html``."""
+    raise TypeError(f"{type(result).__name__} has no report: no module of bayesid.report registers one")
 
 
 class Result(Plots):
-    """What every verb returns: plain data that can be shown, drawn, made into a dictionary and written."""
+    """What every verb returns: plain data that can be shown, drawn, made into a dictionary and written.
+
+    Attributes
+    ----------
+    verb
+        The key of `WRITTEN` that lists its files, its own document first.
+    """
+
+    verb: ClassVar[str]
+
+    def to_dict(self) -> dict[str, Any]:
+        """What its document holds."""
+        raise NotImplementedError
+
+    def _beside(self) -> Files:
+        """Files beside the document and the report."""
+        return {}
 
     def write(self, folder: str | Path) -> Path:
         """Write the verb's files and ``report.html``, all or none; returns the report's path."""
-        return write_results(folder, *files_of(self), {"result": type(self).__name__, "printed": str(self).splitlines()})
+        document = {**strict(self.to_dict()), "result": type(self).__name__, "printed": str(self).splitlines()}
+        return write_results(folder, {WRITTEN[self.verb][0]: document}, self._beside(), report_of(self))
 
 
 class ShownResult(Result, ABC):
@@ -145,17 +148,13 @@ def checkpoint_of(folder: str | Path) -> Path:
     return folder.parent / f".{folder.name}-checkpoint.npz"
 
 
-def write_results(
-    folder: str | Path, documents: Mapping[str, Any], files: Mapping[str, str | Callable[[Path], Any]], report: str,
-    beside: Mapping[str, Any] | None = None,
-) -> Path:  # fmt: skip
+def write_results(folder: str | Path, documents: Mapping[str, Any], files: Files, report: str) -> Path:
     """Write JSON documents, other files and the report, whose path is returned; they appear together or not at all.
 
     Every document gets a key ``files``: the SHA-256 of each other file written with it. By that a later run knows which files
     are an earlier one's, and may be replaced; those of the same documents that it does not make are removed. ``documents``
-    are by file name, in which numbers that are not finite are refused; ``files`` are texts, or functions that write one at
-    the given path; ``beside`` holds further keys of every document, of `BESIDE`. An `InputError` where the folder cannot be
-    written, or a file of the user's own would be replaced.
+    are by file name, in which numbers that are not finite are refused. An `InputError` where the folder cannot be written, or a
+    file of the user's own would be replaced.
     """
     folder = check_output(folder)
     _check_ours(folder, (*documents, *files, REPORT))
@@ -170,8 +169,7 @@ def write_results(
             (made / REPORT).write_text(report, encoding="utf-8")
             hashes = {name: _hash(made / name) for name in (*files, REPORT)}
             for name, document in documents.items():
-                text = json.dumps({**document, **(beside or {}), "files": hashes}, indent=1, allow_nan=False, ensure_ascii=False)
-                (made / name).write_text(text + "\n", encoding="utf-8")
+                _write_document(made / name, {**document, "files": hashes})
         for path in left_over:  # such as a draft of what is explained now
             path.unlink(missing_ok=True)
     except OSError as error:
@@ -204,9 +202,12 @@ def amend(path: Path, added: Mapping[str, Any], report: Callable[[str], str]) ->
         if ours:
             (made / REPORT).write_text(report(page.read_text(encoding="utf-8")), encoding="utf-8")
             hashes[REPORT] = _hash(made / REPORT)
-        text = json.dumps({**document, **added, "files": hashes}, indent=1, allow_nan=False, ensure_ascii=False)
-        (made / path.name).write_text(text + "\n", encoding="utf-8")
+        _write_document(made / path.name, {**document, **added, "files": hashes})
     return ours
+
+
+def _write_document(path: Path, document: Mapping[str, Any]) -> None:
+    path.write_text(json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def _check_ours(folder: Path, names: Iterable[str]) -> None:
@@ -227,10 +228,9 @@ def _check_ours(folder: Path, names: Iterable[str]) -> None:
 def _document(path: Path) -> dict | None:
     """A document of an earlier run; None if it is none, or cannot be read."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        return read_document(path, "")
+    except InputError:
         return None
-    return document if isinstance(document, dict) and {"schema", "experiment"} <= document.keys() else None
 
 
 def _unchanged_files(folder: Path, documents: Iterable[str]) -> list[Path]:

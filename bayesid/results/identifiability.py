@@ -57,7 +57,7 @@ class Identifiability(ShownResult):
         Run time by stage.
     """
 
-    verb = "identifiability"
+    verb, report = "identifiability", "identifiability"
     name: str
     source: str
     motions: Mapping[str, float]

@@ -19,13 +19,14 @@ from bayesid.estimators.parameters import Parameters, central_interval
 from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.motion import Motion
-from bayesid.recordings.schema import EffectParameters
+from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.regression.parallel import in_order, one_blas_thread
 from bayesid.regression.problem import Problem
 from bayesid.results.estimated import HasEstimate, PlotsPredictions
-from bayesid.results.files import Result
+from bayesid.results.files import Files, Result
 from bayesid.results.fitted_model import fitted_model, robot_section
 from bayesid.results.urdf_links import UrdfLinks, impossible_bodies
+from bayesid.robot.urdf import write_urdf
 from bayesid.rounding import LEVEL
 from bayesid.section import as_html, as_text
 from bayesid.validation.cross_checks import Agreement
@@ -74,7 +75,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
         Why the model, or its links, are of no use, and what to try: printed first, and the first of ``warnings``.
     """
 
-    verb = "identify"
+    verb, report = "identify", "identification"
     problem: Problem
     estimate: Estimate
     urdf: UrdfLinks
@@ -244,6 +245,15 @@ class Identification(PlotsPredictions, HasEstimate, Result):
             "runtime_s": self.seconds,
             **({} if self.certificate is None else {"certificate": self.certificate.to_dict()}),
         }
+
+    def _beside(self) -> Files:
+        robot, urdf = self.problem.experiment.robot, self.urdf
+        files = {"identified.urdf": lambda path: write_urdf(robot, urdf.links, path, urdf.dynamics)}
+        if self.unconstrained_urdf:
+            files["identified-unconstrained.urdf"] = lambda path: write_urdf(robot, urdf.unconstrained, path, urdf.dynamics)
+        effects, values = self.model
+        expressions = self.problem.experiment.library.expressions
+        return files | {"model.toml": lambda path: write_model(effects, values, path, expressions)}
 
     def certified(self, certificate: CoverageCertificate) -> Identification:
         """The same with coverage that `bayesid.accuracy` found, to be written into ``estimate.json`` and the report.

@@ -93,7 +93,7 @@ class Inspection(ShownResult):
         than fits in memory.
     """
 
-    verb = "check"
+    verb, report = "check", "check"
     experiment: Experiment
     motions: tuple[MotionSummary, ...]
     sensor_sets: tuple[InspectedReadings, ...]

@@ -8,12 +8,12 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import bayesid
-from bayesid.drawing import Plots, figures_of
+from bayesid.drawing import Figures, Plots, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
@@ -54,7 +54,6 @@ class Loaded(Plots):
     ``loaded.warnings``. What the file does not hold, such as predictions of other motions, needs the recording and says so.
     """
 
-    verb: ClassVar[str] = "load"
     kind: str  # name of the result's class
     document: Mapping[str, Any]  # what `to_dict` gave
     printed: str  # what ``print`` showed
@@ -101,6 +100,11 @@ class Loaded(Plots):
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(str(self))}</pre>"
+
+
+@figures_of.register
+def _(_: Loaded) -> Figures:
+    return {}
 
 
 class _WithPredictions(Loaded):
@@ -154,6 +158,8 @@ class _WithParameters(Loaded):
 class LoadedIdentification(HasEstimate, _WithPredictions):
     """What `bayesid.identify` found, read back: names, values, intervals, errors of predictions, links."""
 
+    report = "identification"
+
     @property
     def estimate(self) -> Estimate:
         """Base and effect parameters with their covariance."""
@@ -196,6 +202,8 @@ class LoadedIdentification(HasEstimate, _WithPredictions):
 @dataclass(frozen=True, eq=False, repr=False)
 class LoadedComparison(HasEntries, Loaded):
     """What `bayesid.compare` found, read back: estimates by name, errors of their predictions."""
+
+    report = "comparison"
 
     @property
     def entries(self) -> tuple[Entry, ...]:
@@ -245,6 +253,8 @@ class LoadedComparison(HasEntries, Loaded):
 @dataclass(frozen=True, eq=False, repr=False)
 class LoadedPosterior(HasParameters, _WithParameters, _WithPredictions):
     """What `bayesid.sample` found, read back: draws of ``posterior.nc``, summaries of ``posterior.json``."""
+
+    report = "posterior"
 
     def to_arviz(self) -> Any:
         """InferenceData (ArviZ 0.x) or DataTree (1.x) of ``posterior.nc``.

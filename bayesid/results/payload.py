@@ -13,7 +13,7 @@ from bayesid.design.payload.poses import NextPoses
 from bayesid.errors import InputError
 from bayesid.results.beside import EffectBeside, cells
 from bayesid.results.controllers import FORMATS, Load
-from bayesid.results.files import ShownResult
+from bayesid.results.files import Files, ShownResult
 from bayesid.results.text import channel_text, number
 from bayesid.robot import inertia
 from bayesid.robot.inertia import PARAMETERS, inertia_matrix
@@ -84,7 +84,7 @@ class PayloadEstimate(ShownResult):
         Run time by stage.
     """
 
-    verb = "payload"
+    verb, report = "payload", "payload"
     name: str
     channel: str
     source: str
@@ -190,6 +190,11 @@ class PayloadEstimate(ShownResult):
         load = self.load
         return {f.file: f.write(load) for f in FORMATS.values() if load.sensor is not None or not f.of_sensor}
 
+    def _beside(self) -> Files:
+        return self.exports() | (
+            {} if self.more is None or not len(self.more.positions) else {NEXT_POSES: _poses(self.more.positions)}
+        )
+
     def export(self, controller: str) -> str:
         """The numbers in the form that a controller takes.
 
@@ -267,3 +272,9 @@ def _together(quantities: tuple[Quantity, ...]) -> dict[str, Any]:
 
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+def _poses(positions: np.ndarray) -> str:
+    """Poses as a table of a motion of kind ``poses``."""
+    rows = [",".join([str(k), *(f"{x:.6f}" for x in row)]) for k, row in enumerate(positions)]
+    return "\n".join([",".join(["t", *(f"q{j + 1}" for j in range(positions.shape[1]))]), *rows]) + "\n"

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bayesid.posterior.convert import write_netcdf
 from bayesid.posterior.result import Posterior
 from bayesid.regression.problem import Problem
 from bayesid.results.estimated import PlotsPredictions
-from bayesid.results.files import Result
+from bayesid.results.files import Files, Result
 from bayesid.results.fitted_model import robot_section
+from bayesid.results.urdf_links import joint_dynamics
+from bayesid.robot.urdf import JointDynamics, write_urdf
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import Prediction
 
@@ -37,6 +42,7 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
         Run time by stage.
     """
 
+    verb = "sample"
     problem: Problem = field(kw_only=True)
     fitted: tuple[Prediction, ...] = ()
     validation: tuple[Prediction, ...] = ()
@@ -91,3 +97,21 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
             "warnings": list(self.warnings),
             "runtime_s": self.seconds,
         }
+
+    def _beside(self) -> Files:
+        files: dict[str, Callable[[Path], Any]] = {"posterior.nc": lambda path: write_netcdf(self.to_arviz(), path)}
+        if (found := posterior_robot(self)) is not None:
+            files["identified.urdf"] = lambda path: write_urdf(self.problem.experiment.robot, found[0], path, found[1])
+        return files
+
+
+def posterior_robot(posterior: ExperimentPosterior) -> tuple[np.ndarray, JointDynamics] | None:
+    """Links (P,), which can exist, and friction of a posterior's mean, its ``identified.urdf``; None where no links are drawn.
+
+    The mean of bodies that can exist can exist: their pseudo-inertias are a convex set.
+    """
+    links = posterior.link_draws
+    if links is None or not posterior.model.physical:
+        return None
+    effects = posterior.effect_draws.mean(axis=(0, 1))
+    return links.mean(axis=(0, 1)), joint_dynamics(posterior.problem, effects, np.ones(len(effects), bool))

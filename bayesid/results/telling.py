@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from bayesid.design.tell.choose import RivalPair, Telling
-from bayesid.results.files import ShownResult
+from bayesid.results.files import Files, ShownResult
 from bayesid.results.text import number, percent
 from bayesid.section import ShownTable
 from bayesid.simulation.trajectories import write_trajectory
@@ -112,12 +113,15 @@ class DistinguishingMotion(ShownResult):
         Run time of every stage.
     """
 
-    verb = "tell"
+    verb, report = "excite", "excitation"
     name: str
     channel: str
     recordings: tuple[str, ...]
     telling: Telling
     seconds: dict[str, float]
+
+    def _beside(self) -> Files:
+        return {TRAJECTORY: partial(write_motion, self.telling)}
 
     def __repr__(self) -> str:
         t = self.telling

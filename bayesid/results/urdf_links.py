@@ -11,6 +11,7 @@ import numpy as np
 from bayesid.arguments import call
 from bayesid.estimators.conic.consistent_links import ConsistentLinks
 from bayesid.estimators.estimator import LEVEL
+from bayesid.regression.problem import Problem
 from bayesid.robot import inertia
 from bayesid.robot.urdf import JointDynamics
 
@@ -124,6 +125,36 @@ class UrdfLinks:
                 "may have the wrong sign, or stand for another effect; check them, or leave that friction out of the model."
             )
         return out
+
+
+def joint_dynamics(
+    problem: Problem, effects: np.ndarray, determined: np.ndarray, estimated: np.ndarray | None = None
+) -> JointDynamics:
+    """What was identified inside the joints, as a URDF holds it, and what it has no place for.
+
+    ``effects`` are values of estimated parameters that go with the links, ``determined`` which of them the data determine,
+    alone, and ``estimated`` those of the estimate itself where they are others: neither may be negative; (e,) each.
+    """
+    row_model, friction, negative, beside = problem.row_model, {}, [], {}
+    values, known = np.zeros((2, len(row_model.free))), np.zeros(len(row_model.free), bool)
+    if row_model.point is not None:
+        values[:] = row_model.point.values
+    values[:, row_model.free] = [effects if estimated is None else estimated, effects]
+    known[row_model.free] = determined
+    column = 0
+    for effect in row_model.effects:
+        attribute, joint = effect.urdf_dynamics, effect.joint
+        own = slice(column, column + len(effect.parameters))
+        column = own.stop
+        if attribute is None or joint is None:
+            beside |= dict(zip(effect.column_names, zip(values[1, own].tolist(), effect.units, strict=True), strict=True))
+        elif known[own.start]:
+            name = problem.experiment.robot.joint_names[joint]
+            if values[:, own.start].min() >= 0.0:
+                friction.setdefault(name, {})[attribute] = float(values[1, own.start])
+            else:
+                negative.append(f"{name} {attribute}")
+    return JointDynamics(friction, tuple(negative), beside)
 
 
 def _radius(moved: ConsistentLinks) -> str:

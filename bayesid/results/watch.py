@@ -114,7 +114,7 @@ class Watch(ShownResult):
         Run time.
     """
 
-    verb = "watch"
+    verb, report = "watch", "watch"
     reference: str
     folder: str | None
     recordings: tuple[Watched, ...]

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,14 +13,13 @@ from bayesid.design.accuracy.certificate import CoverageCertificate, certify, ch
 from bayesid.design.accuracy.sensor_choice import CandidateSensor, choose_sensor, read_sensors
 from bayesid.design.accuracy.susceptibility import susceptibility
 from bayesid.design.accuracy.sweeps import Sweeps, sweep
-from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.results.accuracy import Accuracy
-from bayesid.results.files import Files, amend, files_of, read_document
+from bayesid.results.files import amend, read_document
 from bayesid.results.identification import Identification
 from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
@@ -126,27 +123,6 @@ def accuracy(
             clock("certificate")
             found = certify(bench, certificate, seed, clock.progress, None if kept is None else Path(kept), resume)
     return Accuracy(bench, std, varied, biases, found, choice, _warnings(bench, varied, found), clock.stop())
-
-
-@figures_of.register
-def _(result: Accuracy) -> Figures:
-    from bayesid.report.accuracy import bias_map
-    from bayesid.report.accuracy_figures import certificate_figure, sweeps_figure
-
-    figures: dict[str, Any] = {"susceptibility": partial(bias_map, result)}
-    if result.sweeps is not None:
-        figures["sweeps"] = partial(sweeps_figure, result.sweeps)
-    if result.certificate is not None:
-        figures["certificate"] = partial(certificate_figure, result.certificate, result.bench.problem.row_model.base.short_names)
-    return figures
-
-
-@files_of.register
-def _(result: Accuracy) -> Files:
-    """Write ``accuracy.json`` and the report."""
-    from bayesid.report.accuracy import accuracy_report
-
-    return Files({"accuracy.json": result.to_dict()}, {}, accuracy_report(result))
 
 
 def check_estimate(path: str | Path, experiment: Experiment, method: Estimator) -> Path:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.io import savemat
 
 from bayesid.arguments import argument, call
 from bayesid.design.bounds.bands import FAR, Band, band
@@ -18,7 +16,6 @@ from bayesid.design.bounds.model import ReadingModel, left_out_effects, possible
 from bayesid.design.bounds.remainder import Remainder, remainder
 from bayesid.design.bounds.robust import effort_ratio
 from bayesid.design.bounds.workspace import CONFIGURATIONS, sobol_configurations, workspace_bounds
-from bayesid.drawing import Figures, figures_of
 from bayesid.effects import MotionSegment
 from bayesid.errors import InputError
 from bayesid.estimators import Estimator
@@ -28,12 +25,11 @@ from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem
 from bayesid.regression.readings import make_channels
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands
-from bayesid.results.files import Files, files_of, strict
 from bayesid.results.identification import Identification
-from bayesid.results.posterior import ExperimentPosterior
+from bayesid.results.posterior import ExperimentPosterior, posterior_robot
 from bayesid.results.text import number
+from bayesid.results.urdf_links import joint_dynamics
 from bayesid.robot.robot import Robot, motion_limits
-from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
 from bayesid.simulation.trajectories import Trajectory, read_trajectory
 from bayesid.validation.noise_floor import noise_floor
@@ -41,7 +37,6 @@ from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.sample import sample
 from bayesid.workflows.saved_run import known_from_run, prior_text
-from bayesid.workflows.urdf_links import joint_dynamics, posterior_robot
 from bayesid.workflows.warnings import listed
 
 
@@ -372,29 +367,3 @@ def _states(problem: Problem, motions: Sequence[str]) -> list[MotionSegment]:
         if last > first:
             out.append(problem.row_model.state(segment, first, last))
     return out
-
-
-@figures_of.register
-def _(result: ControllerBounds) -> Figures:
-    from bayesid.report.bounds import band_figure
-
-    return {"band": band_figure}
-
-
-@files_of.register
-def _(result: ControllerBounds) -> Files:
-    """``bounds.json``, ``bounds.mat``, ``identified.urdf``, ``sampled-001.urdf`` ... and the report."""
-    from bayesid.report.bounds import bounds_report
-
-    robot, known = result.known.problem.experiment.robot, result.known
-    at = np.linspace(0, len(result.links) - 1, result.urdfs).astype(int)
-    others: dict[str, Callable[[Path], Any]] = {
-        "bounds.mat": lambda path: savemat(path, result.to_matlab(), oned_as="column"),
-        "identified.urdf": lambda path: write_urdf(robot, known.urdf, path, known.dynamics),
-    }
-    for k, draw in enumerate(at):
-        along = joint_dynamics(known.problem, known.links.effects[draw], ~known.undetermined[known.base.rank :])
-        others[f"sampled-{k + 1:03d}.urdf"] = lambda path, draw=draw, along=along: write_urdf(
-            robot, result.links[draw], path, along
-        )
-    return Files({"bounds.json": strict(result.to_dict())}, others, bounds_report(result))

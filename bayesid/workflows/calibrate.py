@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from math import inf
 from pathlib import Path
 
@@ -15,14 +14,12 @@ from bayesid.arguments import argument
 from bayesid.design.payload.body import BodyKnowledge, Quantity, half_interval
 from bayesid.design.payload.knowledge import degrees_of_freedom, from_sensor, weighed_alone
 from bayesid.diagnosis.settings import Settings
-from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
 from bayesid.results.calibration import KINDS, Calibration, HiddenEffect
 from bayesid.results.controllers import Load
 from bayesid.results.diagnosis import Diagnosis
-from bayesid.results.files import Files, files_of, strict
 from bayesid.results.identification import Identification
 from bayesid.results.text import number, percent
 from bayesid.workflows.explained import Explained, explain, offset_of
@@ -132,21 +129,6 @@ def calibrate(
         warnings=(*impossible_signs(best.estimate, best.problem), *found.warnings, *contradictions(found.first.agreements)),
         seconds=clock.stop(),
     )  # fmt: skip
-
-
-@figures_of.register
-def _(result: Calibration) -> Figures:
-    from bayesid.report.prediction_figures import measured_against_predicted
-
-    return {"predictions": partial(measured_against_predicted, result.fit.fitted[0], None)}
-
-
-@files_of.register
-def _(result: Calibration) -> Files:
-    """``calibration.json``, gravity compensation for ROS, and the report."""
-    from bayesid.report.payload import calibration_report
-
-    return Files({"calibration.json": strict(result.to_dict())}, result.exports(), calibration_report(result))
 
 
 def _quantities(fit: Identification) -> dict[str, tuple[Quantity, ...]]:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.errors import BayesidError, InputError
 from bayesid.recordings.experiment import Experiment, Motion, as_experiment
@@ -17,7 +15,6 @@ from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import prepare
 from bayesid.regression.readings import default_channel, make_channels
-from bayesid.results.files import Files, files_of
 from bayesid.results.inspection import InspectedReadings, Inspection, MotionSummary
 from bayesid.signals.smoothing import smooth
 from bayesid.validation.mistakes.search import find_mistakes
@@ -84,21 +81,6 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
         left=left,
         warnings=experiment.with_findings([*(m.text for m in mistakes), *warnings]),
     )
-
-
-@figures_of.register
-def _(result: Motion) -> Figures:
-    from bayesid.report.curve_figures import recording_figure
-
-    return {"recording": partial(recording_figure, result)}
-
-
-@files_of.register
-def _(result: Inspection) -> Files:
-    """Write ``check.json`` and the report."""
-    from bayesid.report.check import check_report
-
-    return Files({"check.json": result.to_dict()}, {}, check_report(result))
 
 
 def sample_noise(table: Table) -> dict[str, float]:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from bayesid.arguments import argument, call
-from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.errors import BayesidError, EstimationError, InputError
 from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator, fit
@@ -24,7 +22,6 @@ from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
 from bayesid.results.comparison import Comparison, Entry, equal_estimates
-from bayesid.results.files import Files, files_of
 from bayesid.results.urdf_links import impossible_bodies
 from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
@@ -140,22 +137,6 @@ def compare(
         warnings=_warnings(problem, weights, entries, baselines, tests),
         seconds=seconds,
     )
-
-
-@figures_of.register
-def _(result: Comparison) -> Figures:
-    from bayesid.report.comparison import errors_figure, values_figure
-
-    values = {} if result.reference is None else {"values": partial(values_figure, result, result.reference)}
-    return {"errors": partial(errors_figure, result), **values}
-
-
-@files_of.register
-def _(result: Comparison) -> Files:
-    """Write ``comparison.json`` and the report."""
-    from bayesid.report.comparison import comparison_report
-
-    return Files({"comparison.json": result.to_dict()}, {}, comparison_report(result))
 
 
 def _chosen(methods: str | Estimator | Sequence[str | Estimator] | None) -> list[tuple[str, Estimator]]:

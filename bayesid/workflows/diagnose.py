@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from math import inf
 from pathlib import Path
 from typing import overload
@@ -29,18 +28,14 @@ from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.stability import Stability, stability
 from bayesid.diagnosis.validation import Gap, residual_spectra, validate
 from bayesid.diagnosis.verdict import Reason, Verdict, evidence_of, named_in_part, verdict
-from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
-from bayesid.recordings.schema import write_model
 from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel
 from bayesid.results.changes import Changes
-from bayesid.results.described import DRAFT, write_draft
 from bayesid.results.diagnosis import Diagnosis
-from bayesid.results.files import Files, files_of, strict
-from bayesid.results.telling import NEXT_MOTION, telling_sentence, write_motion
+from bayesid.results.telling import NEXT_MOTION, telling_sentence
 from bayesid.validation.own_fit import motion_errors
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 
@@ -284,28 +279,6 @@ def _with_description(result: Diagnosis, seed: int, progress: Progress) -> Diagn
     return replace(result, description=describe(s.base, starts, s.library, seed))
 
 
-@figures_of.register
-def _(result: Diagnosis) -> Figures:
-    from bayesid.report.diagnosis import channels_figure
-
-    return {"channels": partial(channels_figure, result)}
-
-
-@files_of.register
-def _(result: Diagnosis) -> Files:
-    """``diagnosis.json``, ``model.toml``, the report; where they are made the next motion and the draft of what stays."""
-    from bayesid.report.diagnosis import diagnosis_report
-
-    effects, values = result.model
-    expressions = result.data.experiment.library.expressions
-    others = {"model.toml": lambda path: write_model(effects, values, path, expressions)}
-    if (telling := result.telling) is not None:
-        others[NEXT_MOTION] = lambda path: write_motion(telling, path)
-    if (description := result.description) is not None:
-        others[DRAFT] = lambda path: write_draft(description, result.data.experiment, path)
-    return Files({"diagnosis.json": strict(result.to_dict())}, others, diagnosis_report(result))
-
-
 def changes(
     after: Experiment | str | Path,
     before: Experiment | str | Path,
@@ -324,21 +297,3 @@ def changes(
         progress("what changed since the reference")
         found = compare_with_reference(before, after, channel, effects=effects, motions=motions, seed=seed, settings=settings)
     return Changes(found, time.perf_counter() - since)
-
-
-@figures_of.register
-def _(result: Changes) -> Figures:
-    from bayesid.report.changes import evidence_figure
-
-    return {"evidence": partial(evidence_figure, result)}
-
-
-@files_of.register
-def _(result: Changes) -> Files:
-    """``diagnosis.json``, ``model.toml`` and the report."""
-    from bayesid.report.changes import changes_report
-
-    effects, values = result.model
-    expressions = result.experiment.library.expressions
-    others = {"model.toml": lambda path: write_model(effects, values, path, expressions)}
-    return Files({"diagnosis.json": strict(result.to_dict())}, others, changes_report(result))

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pandas as pd
-import tomli_w
 
 from bayesid.arguments import argument, with_given
 from bayesid.design.excitation.blocks import StopAndGo, check_blocks, scripted_blocks, stop_and_go
@@ -21,17 +17,15 @@ from bayesid.design.excitation.plan import Plan, make_plan
 from bayesid.design.expected import expect
 from bayesid.design.reading_noise import white_noise
 from bayesid.design.visibility import shown
-from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor, load_experiment, load_setup
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import make_channels
 from bayesid.results.excitation import Excitation, LimitUse
-from bayesid.results.files import Files, files_of
 from bayesid.robot.robot import Robot
 from bayesid.robot.typical import states_masses
-from bayesid.simulation.trajectories import Trajectory, read_trajectory, recorded_trajectories, write_trajectory
+from bayesid.simulation.trajectories import Trajectory, read_trajectory, recorded_trajectories
 from bayesid.tasks import cluster
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 
@@ -231,45 +225,3 @@ def limit_uses(plan: Plan) -> list[LimitUse]:
 
 def _rows(where, reached, limit, unit, ratio) -> list[tuple[str, float, float, str, float]]:
     return [(w, float(a), float(b), u, float(c)) for w, a, b, u, c in zip(where, reached, limit, unit, ratio, strict=True)]
-
-
-@figures_of.register
-def _(result: Excitation) -> Figures:
-    from bayesid.report.curve_figures import panels_figure
-    from bayesid.report.excitation import panels_of
-
-    return {"motion": partial(panels_figure, result.trajectory.times, panels_of(result))}
-
-
-@files_of.register
-def _(result: Excitation) -> Files:
-    """``excitation.json``, ``trajectory.csv`` and the report."""
-    from bayesid.report.excitation import excitation_report
-
-    motions = [result.trajectory, *(b.trajectory for b in result.blocks)]
-    others: dict[str, str | Callable[[Path], Any]] = {
-        f"{motion.name}.csv": lambda path, motion=motion: write_trajectory(motion, path) for motion in motions
-    }
-    others["motions.toml"] = tomli_w.dumps({"motion": _sections(motions)})
-    if (run := result.static_run) is not None:
-        others["stop-and-go.csv"] = lambda path: _write_stops(run, path)
-    return Files({"excitation.json": result.to_dict()}, others, excitation_report(result))
-
-
-def _sections(motions: Sequence[Trajectory]) -> list[dict[str, Any]]:
-    """``[[motion]]`` of experiment.toml for recordings of these motions."""
-    out = []
-    for motion in motions:
-        section: dict[str, Any] = {"name": motion.name, "role": motion.role, "kind": motion.kind, "table": f"{motion.name}.csv"}
-        section |= {} if motion.period is None else {"period": float(motion.period)}
-        section |= {"parked": [list(map(float, interval)) for interval in motion.parked]} if motion.parked else {}
-        section |= {} if motion.static_positions is None else {"static": f"{motion.name}_static.csv"}
-        out.append(section)
-    return out
-
-
-def _write_stops(run: StopAndGo, path: Path) -> None:
-    """The schedule as a table: row of the motion, time of arrival and of reading, and the positions."""
-    columns = {"row": run.rows, "arrive": run.arrive, "read_start": run.start, "read_end": run.end}
-    columns |= {f"q{j + 1}": run.positions[:, j] for j in range(run.positions.shape[1])}
-    pd.DataFrame(columns).to_csv(path, index=False, float_format="%.9g")

@@ -21,7 +21,6 @@ from bayesid.results.export.plain import joint_constants
 from bayesid.results.export.randomisation import draws_of, randomisation
 from bayesid.results.export.sdf import HELD, sdf
 from bayesid.results.exported import Exported
-from bayesid.results.files import Files, files_of
 from bayesid.results.fitted_model import robot_of
 from bayesid.results.identification import Identification
 from bayesid.results.loaded import Loaded, LoadedIdentification, LoadedPosterior, load
@@ -318,11 +317,3 @@ def _draw(found: IdentifiedRobot, forms: Sequence[str], count: int, seed: int, m
     for form, ending in (("mjcf", "xml"), ("urdf", "urdf")):
         if form in forms:
             made.about[form] += f"; {count} draws of the posterior, sampled-001.{ending} ..."
-
-
-@files_of.register
-def _(result: Exported) -> Files:
-    """``export.json``, the files asked for, and the report."""
-    from bayesid.report.export import export_report
-
-    return Files({"export.json": result.to_dict()}, result.texts, export_report(result))

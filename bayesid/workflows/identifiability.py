@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ from bayesid.design.identifiability import PlannedMotions, SetReport, report_of,
 from bayesid.design.reading_noise import SENSOR_SETS, ReadingNoise, SensorSet, recorded_noise, white_noise
 from bayesid.design.separability import pair_of, separations
 from bayesid.design.visibility import shown
-from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment, load_setup
@@ -24,7 +22,6 @@ from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions, some_opt
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel
 from bayesid.regression.regression import Regression
-from bayesid.results.files import Files, files_of
 from bayesid.results.identifiability import Identifiability
 from bayesid.robot.robot import Robot
 from bayesid.simulation.trajectories import Trajectory, fourier_trajectory, read_trajectory
@@ -98,21 +95,6 @@ def identifiability(
         if chosen.effects is not None:
             experiment = replace(experiment, effects=tuple(chosen.effects))
         return _of_motions(experiment, asked, sets, noise, chosen.bandwidth, names(tell), clock)
-
-
-@figures_of.register
-def _(result: Identifiability) -> Figures:
-    from bayesid.report.identifiability import classes, expected_figure
-
-    return {"classes": partial(classes, result.sensor_sets, result.main), "expected": partial(expected_figure, result.main)}
-
-
-@files_of.register
-def _(result: Identifiability) -> Files:
-    """Write ``identifiability.json`` and the report."""
-    from bayesid.report.identifiability import identifiability_report
-
-    return Files({"identifiability.json": result.to_dict()}, {}, identifiability_report(result))
 
 
 def _sets(asked: Sequence[str] | None) -> list[SensorSet]:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from bayesid.arguments import argument
-from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.estimators import Estimate, Estimator, estimator
 from bayesid.estimators.against_prior import against_nominal
@@ -18,13 +17,10 @@ from bayesid.estimators.conic.consistent_links import channel_grams
 from bayesid.estimators.nonlinear import default_method, solve
 from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.recordings.experiment import Experiment, as_experiment
-from bayesid.recordings.schema import write_model
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import both, in_order, one_blas_thread
 from bayesid.regression.problem import Problem, prepare, weight_columns
-from bayesid.results.files import Files, files_of
 from bayesid.results.identification import Identification
-from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
 from bayesid.validation.cross_checks import Agreement, Alone, fits_alone, motions_apart, static_both_ways, wrench_against_torque
@@ -156,30 +152,6 @@ def identify(
         floor=floor,
         unusable=no_use,
     )
-
-
-@figures_of.register
-def _(result: Identification) -> Figures:
-    from bayesid.report.identification import intervals_figure
-    from bayesid.report.prediction_figures import measured_against_predicted, residuals
-
-    intervals = partial(intervals_figure, result.problem.regression, result.estimate)
-    return {"predictions": measured_against_predicted, "residuals": residuals, "intervals": intervals}
-
-
-@files_of.register
-def _(result: Identification) -> Files:
-    """``estimate.json``, ``identified.urdf`` (on request ``identified-unconstrained.urdf``), ``model.toml`` and the report."""
-    from bayesid.report.identification import identification_report
-
-    robot, urdf = result.problem.experiment.robot, result.urdf
-    others = {"identified.urdf": lambda path: write_urdf(robot, urdf.links, path, urdf.dynamics)}
-    if result.unconstrained_urdf:
-        others["identified-unconstrained.urdf"] = lambda path: write_urdf(robot, urdf.unconstrained, path, urdf.dynamics)
-    effects, values = result.model
-    expressions = result.problem.experiment.library.expressions
-    others["model.toml"] = lambda path: write_model(effects, values, path, expressions)
-    return Files({"estimate.json": result.to_dict()}, others, identification_report(result))
 
 
 def _beside(problem: Problem, method: Estimator, unseen: list[str]) -> tuple[Alone, NoiseFloor | None, FlexibleModel | None]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,6 @@ from bayesid.design.payload.knowledge import (
 )
 from bayesid.design.payload.poses import NextPoses, next_poses
 from bayesid.diagnosis.settings import Settings
-from bayesid.drawing import Figures, figures_of
 from bayesid.effects import Effect
 from bayesid.effects.bodies import body_of
 from bayesid.errors import InputError
@@ -30,7 +28,6 @@ from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.readings import default_channel
 from bayesid.results.beside import EffectBeside
-from bayesid.results.files import Files, files_of, strict
 from bayesid.results.payload import NEXT_POSES, PayloadEstimate
 from bayesid.results.text import number, percent, with_half
 from bayesid.workflows.diagnose import diagnose
@@ -205,30 +202,6 @@ def payload(
         warnings=found.warnings, seconds=clock.stop(),
     )  # fmt: skip
     return replace(result, sentences=(*_not_shown(result), *result.sentences))
-
-
-@figures_of.register
-def _(result: PayloadEstimate) -> Figures:
-    from bayesid.report.payload import payload_figure
-
-    return {"payload": partial(payload_figure, result)}
-
-
-@files_of.register
-def _(result: PayloadEstimate) -> Files:
-    """``payload.json``, a file for every controller, and the report."""
-    from bayesid.report.payload import payload_report
-
-    others = dict(result.exports())
-    if (more := result.more) is not None and len(more.positions):
-        others[NEXT_POSES] = _table(more.positions)
-    return Files({"payload.json": strict(result.to_dict())}, others, payload_report(result))
-
-
-def _table(positions: np.ndarray) -> str:
-    """Poses as a table of a motion of kind ``poses``."""
-    rows = [",".join([str(k), *(f"{x:.6f}" for x in row)]) for k, row in enumerate(positions)]
-    return "\n".join([",".join(["t", *(f"q{j + 1}" for j in range(positions.shape[1]))]), *rows]) + "\n"
 
 
 def _weighed(asked: _Asked, body: int) -> _Found:

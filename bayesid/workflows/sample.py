@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict, Unpack, overload
+from typing import TypedDict, Unpack, overload
 
 import numpy as np
 from scipy.linalg import cholesky
 
 from bayesid.arguments import argument, with_given
-from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.estimators.against_prior import against_prior
 from bayesid.estimators.estimator import largest_autocorrelation
 from bayesid.estimators.nonlinear import settled
 from bayesid.estimators.prior_check import PriorCheck, conflicts
-from bayesid.posterior.convert import write_netcdf
 from bayesid.posterior.diagnostics import ConvergenceError
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.predictive import predictive_groups
@@ -33,10 +30,8 @@ from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
 from bayesid.regression.rows import make_blocks
-from bayesid.results.files import Files, files_of
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.robot.prior import Prior
-from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
 from bayesid.signals.noise import NoiseModel
 from bayesid.tasks import cluster
@@ -44,7 +39,6 @@ from bayesid.validation.flexible import flexible_gaps
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
-from bayesid.workflows.urdf_links import posterior_robot
 from bayesid.workflows.warnings import incomplete, listed, repeated_motions, unpredicted
 
 PRIORS = ("nominal", "flat")
@@ -178,36 +172,6 @@ def sample(
         error.partial = posterior
         raise error
     return posterior
-
-
-@figures_of.register
-def _(result: ExperimentPosterior) -> Figures:
-    from bayesid.report.posterior import marginals_figure, predictive
-    from bayesid.report.prediction_figures import measured_against_predicted, residuals
-
-    return {
-        "predictions": measured_against_predicted, "residuals": residuals, "marginals": partial(marginals_figure, result),
-        "predictive": predictive,
-    }  # fmt: skip
-
-
-@figures_of.register
-def _(result: Posterior) -> Figures:
-    from bayesid.report.posterior import marginals_figure, predictive
-
-    return {"marginals": partial(marginals_figure, result), "predictive": predictive}
-
-
-@files_of.register
-def _(result: ExperimentPosterior) -> Files:
-    """``posterior.nc``, ``posterior.json``, where links are drawn ``identified.urdf``, and the report."""
-    from bayesid.report.posterior import posterior_report
-
-    others: dict[str, Callable[[Path], Any]] = {"posterior.nc": lambda path: write_netcdf(result.to_arviz(), path)}
-    if (found := posterior_robot(result)) is not None:
-        robot, (links, dynamics) = result.problem.experiment.robot, found
-        others["identified.urdf"] = lambda path: write_urdf(robot, links, path, dynamics)
-    return Files({"posterior.json": result.to_dict()}, others, posterior_report(result))
 
 
 def _prior(regression: Regression, prior: str | Prior | None, std: float | None) -> tuple[Prior | None, float | None]:

@@ -16,11 +16,11 @@ from bayesid.posterior.convert import load_arviz
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
+from bayesid.results.urdf_links import joint_dynamics
 from bayesid.robot.prior import Prior
 from bayesid.robot.urdf import JointDynamics
 from bayesid.signals.filters import LowPass
 from bayesid.validation.noise_floor import noise_floor
-from bayesid.workflows.urdf_links import joint_dynamics
 
 ESTIMATE, POSTERIOR = "estimate.json", "posterior.json"
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from bayesid.arguments import argument, names, with_given
@@ -12,13 +11,11 @@ from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.tell.choose import tell_effects
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.settings import DEFAULT
-from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment, load_experiment
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel, has_readings
-from bayesid.results.files import Files, files_of, strict
-from bayesid.results.telling import TRAJECTORY, DistinguishingMotion, write_motion
+from bayesid.results.telling import DistinguishingMotion
 from bayesid.simulation.simulation import simulate
 from bayesid.simulation.trajectories import fourier_trajectory
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
@@ -97,20 +94,3 @@ def tell(
         )
     recordings = tuple(dict.fromkeys(s.motion for s in data.segments)) if recorded else ()
     return DistinguishingMotion(experiment.name, channel, recordings, telling, clock.stop())
-
-
-@figures_of.register
-def _(result: DistinguishingMotion) -> Figures:
-    from bayesid.report.curve_figures import panels_figure
-    from bayesid.report.excitation import telling_panels
-
-    return {"motion": partial(panels_figure, result.telling.trajectory.times, telling_panels(result.telling))}
-
-
-@files_of.register
-def _(result: DistinguishingMotion) -> Files:
-    """``excitation.json``, ``trajectory.csv`` and the report."""
-    from bayesid.report.excitation import distinguishing_report
-
-    others = {TRAJECTORY: lambda path: write_motion(result.telling, path)}
-    return Files({"excitation.json": strict(result.to_dict())}, others, distinguishing_report(result))

@@ -13,10 +13,8 @@ from bayesid.estimators.conic.consistent_links import consistent_links
 from bayesid.estimators.nonlinear import solve
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
-from bayesid.results.posterior import ExperimentPosterior
-from bayesid.results.urdf_links import UrdfLinks
+from bayesid.results.urdf_links import UrdfLinks, joint_dynamics
 from bayesid.robot.typical import states_masses, typical_links
-from bayesid.robot.urdf import JointDynamics
 
 _ROTORS = "rotor_inertia"
 
@@ -97,48 +95,6 @@ def _links_with(problem: Problem, method: Estimator, options: FitOptions) -> Urd
         return urdf_links(*solve(prepare(problem.experiment, replace(options, bandwidth=problem.smoother.bandwidth)), method))
     except (BayesidError, np.linalg.LinAlgError):
         return None
-
-
-def posterior_robot(posterior: ExperimentPosterior) -> tuple[np.ndarray, JointDynamics] | None:
-    """Links (P,), which can exist, and friction of a posterior's mean, its ``identified.urdf``; None where no links are drawn.
-
-    The mean of bodies that can exist can exist: their pseudo-inertias are a convex set.
-    """
-    links = posterior.link_draws
-    if links is None or not posterior.model.physical:
-        return None
-    effects = posterior.effect_draws.mean(axis=(0, 1))
-    return links.mean(axis=(0, 1)), joint_dynamics(posterior.problem, effects, np.ones(len(effects), bool))
-
-
-def joint_dynamics(
-    problem: Problem, effects: np.ndarray, determined: np.ndarray, estimated: np.ndarray | None = None
-) -> JointDynamics:
-    """What was identified inside the joints, as a URDF holds it, and what it has no place for.
-
-    ``effects`` are values of estimated parameters that go with the links, ``determined`` which of them the data determine,
-    alone, and ``estimated`` those of the estimate itself where they are others: neither may be negative; (e,) each.
-    """
-    row_model, friction, negative, beside = problem.row_model, {}, [], {}
-    values, known = np.zeros((2, len(row_model.free))), np.zeros(len(row_model.free), bool)
-    if row_model.point is not None:
-        values[:] = row_model.point.values
-    values[:, row_model.free] = [effects if estimated is None else estimated, effects]
-    known[row_model.free] = determined
-    column = 0
-    for effect in row_model.effects:
-        attribute, joint = effect.urdf_dynamics, effect.joint
-        own = slice(column, column + len(effect.parameters))
-        column = own.stop
-        if attribute is None or joint is None:
-            beside |= dict(zip(effect.column_names, zip(values[1, own].tolist(), effect.units, strict=True), strict=True))
-        elif known[own.start]:
-            name = problem.experiment.robot.joint_names[joint]
-            if values[:, own.start].min() >= 0.0:
-                friction.setdefault(name, {})[attribute] = float(values[1, own.start])
-            else:
-                negative.append(f"{name} {attribute}")
-    return JointDynamics(friction, tuple(negative), beside)
 
 
 def _errors(problem: Problem, *solutions: np.ndarray) -> dict[str, tuple[float, float]]:

@@ -12,7 +12,6 @@ from pathlib import Path
 from bayesid.diagnosis.changes.findings import compare_with_learned
 from bayesid.diagnosis.changes.reference import Reference, learn_reference
 from bayesid.diagnosis.settings import DEFAULT, Settings
-from bayesid.drawing import Figures, figures_of
 from bayesid.errors import BayesidError, InputError
 from bayesid.estimators import Estimate
 from bayesid.estimators.nonlinear import default_method, solve
@@ -20,7 +19,6 @@ from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem, prepare
-from bayesid.results.files import Files, files_of, strict
 from bayesid.results.watch import Watch, Watched
 from bayesid.tasks import cluster, map_tasks
 from bayesid.validation.prediction import Prediction, predict_elsewhere
@@ -154,18 +152,3 @@ def _names(series: Sequence[Experiment]) -> list[str]:
         name if names.count(name) == 1 else f"{name} ({k})" if folder is None else str(folder)
         for k, (name, folder) in enumerate(zip(names, folders, strict=True), 1)
     ]
-
-
-@figures_of.register
-def _(result: Watch) -> Figures:
-    from bayesid.report.watch import gap_figure
-
-    return {"gap": partial(gap_figure, result)}
-
-
-@files_of.register
-def _(result: Watch) -> Files:
-    """Write ``watch.json`` and the report."""
-    from bayesid.report.watch import watch_report
-
-    return Files({"watch.json": strict(result.to_dict())}, {}, watch_report(result))

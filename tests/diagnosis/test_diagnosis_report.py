@@ -124,7 +124,7 @@ def test_a_failed_report_leaves_nothing(named, tmp_path, monkeypatch):
     def fail(*_):
         raise RuntimeError("no page")
 
-    monkeypatch.setattr(report, "diagnosis_report", fail)
+    monkeypatch.setattr(report, "page", fail)
     with pytest.raises(RuntimeError, match="no page"):
         named.write(tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
