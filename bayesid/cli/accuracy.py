@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 import bayesid
 from bayesid.cli import options as shared
 from bayesid.cli.options import bounded
 from bayesid.cli.terminal import say
-from bayesid.errors import EstimationError, InputError
-from bayesid.results.files import check_output, checkpoint_of
+from bayesid.errors import InputError
 from bayesid.workflows.accuracy import add_certificate, check_estimate
 
 
@@ -25,10 +22,8 @@ from bayesid.workflows.accuracy import add_certificate, check_estimate
 @click.option("--nominal", is_flag=True, help="Take the nominal links for the true ones, not the estimated.")
 @click.option("--certificate", is_flag=True, help="Count how often the intervals hold the truth, on simulated twins.")
 @click.option("--twins", type=int, default=400, show_default=True, help="Twins of the certificate.")
-@click.option(
-    "--estimate", type=click.Path(path_type=Path), help="An estimate.json to write the certificate into, with its report."
-)
-@click.option("--sensors", type=click.Path(path_type=Path), help="A sensors.toml of candidates to compare before buying one.")
+@click.option("--estimate", type=shared.FILE, help="An estimate.json to write the certificate into, with its report.")
+@click.option("--sensors", type=shared.FILE, help="A sensors.toml of candidates to compare before buying one.")
 @click.option("--resume", is_flag=True, help="Go on with the twins of an interrupted run of the same --out.")
 @shared.on_workers
 @shared.OUT
@@ -37,27 +32,20 @@ def accuracy(
     experiment, filter_l, filter_d, model, effects_from, method, bounds, certificate, twins, estimate, out, resume, **options
 ) -> None:
     """What the errors depend on, what effects left out of the model do, and whether the intervals hold the truth."""
-    check_output(out or shared.OUTPUTS, "accuracy")
     if (resume or estimate) and not certificate:
         raise InputError(f"--{'resume' if resume else 'estimate'} is for --certificate; add that, or leave it out")
-    filters, chosen = shared.low_pass(filter_l, filter_d), bayesid.estimator(method)
-    loaded = shared.load(experiment, model, effects_from)
-    chosen = bounded(chosen, bounds, loaded)
-    written = None if estimate is None else check_estimate(estimate, loaded, chosen)
-    folder = shared.output_folder(out, loaded.name, "accuracy")
-    kept = checkpoint_of(folder)
-    try:
-        with shared.show_progress() as progress:
+    with shared.running("accuracy", out) as run:
+        filters, chosen = shared.low_pass(filter_l, filter_d), bayesid.estimator(method)
+        loaded = shared.load(experiment, model, effects_from)
+        chosen = bounded(chosen, bounds, loaded)
+        written = None if estimate is None else check_estimate(estimate, loaded, chosen)
+        with run.resumable(loaded.name) as kept:
             result = bayesid.accuracy(
                 loaded, method=chosen, low_pass=filters, certificate=twins if certificate else 0, kept=kept, resume=resume,
-                progress=progress, **options,
+                progress=run.progress, **options,
             )  # fmt: skip
-            progress("report")
-            report = result.write(folder)
+            report = run.write(result, loaded.name)
             changed = written is None or add_certificate(written, result)
-    except KeyboardInterrupt:
-        raise EstimationError(f"interrupted; add --resume to go on from {kept}" if kept.exists() else "interrupted") from None
-    kept.unlink(missing_ok=True)
     say(result)
     if written is not None:
         say(f"certificate: {written}" + ("" if changed else ", but not its report.html, which is not as it was written"))

@@ -11,20 +11,17 @@ from bayesid.cli import options as shared
 from bayesid.cli.options import bounded
 from bayesid.cli.terminal import say
 from bayesid.errors import InputError
-from bayesid.results.files import check_output
-
-_RUN = click.Path(path_type=Path)
 
 
 @click.command()
 @shared.EXPERIMENT
 @shared.model_options
-@click.option("--posterior", type=_RUN, help="Folder that bayesid sample wrote; default: sample now.")
-@click.option("--estimate", type=_RUN, help="Folder that bayesid identify wrote.")
+@click.option("--posterior", type=shared.FILE, help="Folder that bayesid sample wrote; default: sample now.")
+@click.option("--estimate", type=shared.FILE, help="Folder that bayesid identify wrote.")
 @click.option("--method", help="Identify with this estimator and do not sample.")
 @shared.BOUNDS
 @click.option("--static", type=click.Choice(["motion", "joint"]), help="Subtract a stop-and-go run (default), or fit it along.")
-@click.option("--trajectory", type=_RUN, help="A planned motion, a table with t, q1 ...: its readings get bands.")
+@click.option("--trajectory", type=shared.FILE, help="A planned motion, a table with t, q1 ...: its readings get bands.")
 @click.option("--urdfs", type=click.IntRange(min=0), default=0, show_default=True, help="How many sampled URDFs to write.")
 @click.option("--prior-std", type=float, help="Relative standard deviation of every nominal mass; default: inertia_rel_std.")
 @click.option(
@@ -34,19 +31,15 @@ _RUN = click.Path(path_type=Path)
 @shared.SEED
 def bounds(experiment, filter_l, filter_d, model, effects_from, posterior, estimate, method, bounds, out, **options) -> None:
     """What a controller may rely on: bounds of parameters, mass matrix, gravity and torques."""
-    check_output(out or shared.OUTPUTS, "bounds")
-    filters = shared.low_pass(filter_l, filter_d)
-    run = _run(posterior, estimate, method, bounds)
-    chosen = None if method is None else bayesid.estimator(method)
-    with shared.show_progress() as progress:
-        progress("reading")
+    with shared.running("bounds", out) as run:
+        filters = shared.low_pass(filter_l, filter_d)
+        known = _run(posterior, estimate, method, bounds)
+        chosen = None if method is None else bayesid.estimator(method)
         loaded = shared.load(experiment, model, effects_from)
         if bounds is not None:
             chosen = bounded(chosen, bounds, loaded)
-        folder = shared.output_folder(out, loaded.name, "bounds")
-        result = bayesid.bounds(loaded, run=run, method=chosen, low_pass=filters, progress=progress, **options)
-        progress("report")
-        report = result.write(folder)
+        result = bayesid.bounds(loaded, run=known, method=chosen, low_pass=filters, progress=run.progress, **options)
+        report = run.write(result, loaded.name)
     say(result)
     say(f"report: {report}")
 

@@ -8,9 +8,8 @@ from pathlib import Path
 import click
 
 import bayesid
-from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, OUT, OUTPUTS, UNUSED_SEED, load, output_folder, show_progress
+from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, OUT, UNUSED_SEED, load, running
 from bayesid.cli.terminal import say
-from bayesid.results.files import check_output
 
 
 @click.command()
@@ -21,9 +20,8 @@ from bayesid.results.files import check_output
 def check(experiment: Path, effects_from: tuple[Path, ...], out: Path | None) -> None:
     """Read and validate an experiment folder; say what is in it."""
     gc.disable()  # the search for cyclic garbage takes a twentieth of a run of a second; `main` turns it on again
-    check_output(out or OUTPUTS, "check")
-    with show_progress() as progress:
-        result = bayesid.check(load(experiment, None, effects_from), progress=progress)
-        report = result.write(output_folder(out, result.name, "check"))
+    with running("check", out) as run:
+        result = bayesid.check(load(experiment, None, effects_from), progress=run.progress)
+        report = run.write(result, result.name)
     say(result)
     say(f"report: {report}")

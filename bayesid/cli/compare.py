@@ -8,7 +8,6 @@ import bayesid
 from bayesid.cli import options as shared
 from bayesid.cli.options import all_bounded
 from bayesid.cli.terminal import say
-from bayesid.results.files import check_output
 from bayesid.workflows.compare import DEFAULT_SET
 
 
@@ -23,17 +22,14 @@ from bayesid.workflows.compare import DEFAULT_SET
 @shared.UNUSED_SEED
 def compare(experiment, filter_l, filter_d, model, effects_from, methods, bounds, out, **options) -> None:
     """Several estimators on the same data, side by side, and the nominal model beside them."""
-    check_output(out or shared.OUTPUTS, "compare")
-    filters = shared.low_pass(filter_l, filter_d)
-    for method in methods or ():
-        bayesid.estimator(method)
-    with shared.show_progress() as progress:
-        progress("reading")
+    with shared.running("compare", out) as run:
+        filters = shared.low_pass(filter_l, filter_d)
+        for method in methods or ():
+            bayesid.estimator(method)
         loaded = shared.load(experiment, model, effects_from)
         if bounds is not None:
             methods = all_bounded(methods or DEFAULT_SET, bounds, loaded)
-        result = bayesid.compare(loaded, methods, low_pass=filters, progress=progress, **options)
-        progress("report")
-        report = result.write(shared.output_folder(out, loaded.name, "compare"))
+        result = bayesid.compare(loaded, methods, low_pass=filters, progress=run.progress, **options)
+        report = run.write(result, loaded.name)
     say(result)
     say(f"report: {report}")

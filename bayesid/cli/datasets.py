@@ -8,14 +8,14 @@ from pathlib import Path
 import click
 
 from bayesid import datasets as public
-from bayesid.cli.options import UNUSED_SEED
+from bayesid.cli.options import FILE, UNUSED_SEED
 from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 
 
 @click.command()
 @click.argument("name", required=False)
-@click.option("--out", type=click.Path(path_type=Path), help="The experiment folder to be made; default: it stays in the cache.")
+@click.option("--out", type=FILE, help="The experiment folder to be made; default: it stays in the cache.")
 @UNUSED_SEED
 def datasets(name, out) -> None:
     """List public recordings of real robots, or fetch the one of this NAME as an experiment folder."""

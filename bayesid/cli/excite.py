@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from functools import partial
 
 import click
 
@@ -12,7 +13,6 @@ from bayesid.cli.terminal import say
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import load_experiment, load_setup
-from bayesid.results.files import check_output
 
 _DEFAULT = {item.name: item.default for item in fields(ExcitationOptions)}
 
@@ -30,11 +30,11 @@ def _number(option: str, text: str, **more):
     return click.option(option, type=type(_DEFAULT[name]), default=_DEFAULT[name], show_default=True, help=text, **more)
 
 
-_OPTIONS = [
+_options = shared.together(
     click.option(
         "--tell", callback=shared.names, help="Effects to be told apart, by commas: the motion that does that best instead."
     ),
-    click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Readings; default: wrench with a [sensor]."),
+    click.option("--channel", type=shared.CHANNELS, help="Readings; default: wrench with a [sensor]."),
     click.option("--static", is_flag=True, help="A stop-and-go run will be subtracted, as in the paper."),
     click.option("--criterion", default="d", show_default=True, help="d, a, e, condition or quantity."),
     click.option(
@@ -64,13 +64,7 @@ _OPTIONS = [
     _number("--starts", "How many motions are improved."),
     _number("--randoms", "How many random motions they are chosen from."),
     _number("--seconds", "No other improvement is begun after so long [s]."),
-]
-
-
-def _options(command):
-    for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
+)
 
 
 @click.command()
@@ -85,17 +79,14 @@ def excite(
     experiment, model, effects_from, out, joints, blocks, quantities, tell, warm_start, seed, workers, scheduler, **options
 ) -> None:
     """An exciting trajectory within limits: trajectory.csv; needs experiment.toml and the URDF only."""
-    check_output(out or shared.OUTPUTS, "excite")
-    library = shared.own_effects(effects_from)
-    # What recordings tell already counts where effects are to be told apart.
-    setup = load_setup(experiment, library) if tell is None else load_experiment(experiment, library, planned=True)
-    setup = setup if model is None else setup.with_model(model)
-    folder = shared.output_folder(out, setup.name, "excite")
-    chosen = ExcitationOptions(joints=joints, blocks=blocks or (), quantities=quantities or (), **options)
-    with shared.show_progress() as progress:
+    with shared.running("excite", out) as run:
+        # What recordings tell already counts where effects are to be told apart.
+        read = load_setup if tell is None else partial(load_experiment, planned=True)
+        setup = shared.load(experiment, model, effects_from, read)
+        chosen = ExcitationOptions(joints=joints, blocks=blocks or (), quantities=quantities or (), **options)
         if tell is None:
             result = bayesid.excite(
-                setup, chosen, warm_start=warm_start, seed=seed, workers=workers, scheduler=scheduler, progress=progress
+                setup, chosen, warm_start=warm_start, seed=seed, workers=workers, scheduler=scheduler, progress=run.progress
             )
         else:
             others = {
@@ -104,9 +95,8 @@ def excite(
             }  # fmt: skip
             for name in (name for name, given in others.items() if given):
                 raise InputError(f"{name} is given with --tell; leave one of them out")
-            result = bayesid.tell(setup, tell, chosen, seed=seed, progress=progress)
-        progress("report")
-        report = result.write(folder)
+            result = bayesid.tell(setup, tell, chosen, seed=seed, progress=run.progress)
+        report = run.write(result, setup.name)
     say(result)
-    say(f"trajectory: {folder / 'trajectory.csv'}")
+    say(f"trajectory: {report.with_name('trajectory.csv')}")
     say(f"report: {report}")

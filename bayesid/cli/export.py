@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 import bayesid
-from bayesid.cli.options import OUT, OUTPUTS, SEED, names, output_folder, show_progress
+from bayesid.cli.options import FILE, OUT, SEED, names, running
 from bayesid.cli.terminal import say
-from bayesid.results.files import check_output
 
 
 @click.command()
-@click.argument("result", type=click.Path(path_type=Path))
+@click.argument("result", type=FILE)
 @click.option(
     "--to", callback=names, default="mjcf", show_default=True, help="mjcf, urdf, sdf, cpp, numpy, ranges; several by commas."
 )
@@ -25,10 +22,8 @@ from bayesid.results.files import check_output
 @SEED
 def export(result, to, draws, out, seed) -> None:
     """Hand an identified robot on: RESULT is a folder that identify or sample wrote."""
-    check_output(out or OUTPUTS, "export")
-    with show_progress() as progress:
-        progress("reading")
-        exported = bayesid.export(result, to, draws=draws, seed=seed, progress=progress)
-        report = exported.write(output_folder(out, exported.name, "export"))
+    with running("export", out) as run:
+        exported = bayesid.export(result, to, draws=draws, seed=seed, progress=run.progress)
+        report = run.write(exported, exported.name)
     say(exported)
     say(f"report: {report}")

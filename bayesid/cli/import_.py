@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 import numpy as np
 
 import bayesid
-from bayesid.cli.options import UNUSED_SEED, names, show_progress
+from bayesid.cli.options import FILE, UNUSED_SEED, names, show_progress
 from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Sensor
@@ -49,21 +47,16 @@ def _number_pairs(context, parameter, value: tuple[str, ...]) -> dict[str, float
 
 
 @click.command(name="import")
-@click.argument("sources", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="SOURCE...")
+@click.argument("sources", type=FILE, nargs=-1, required=True, metavar="SOURCE...")
 @click.option(
-    "--urdf",
-    type=click.Path(path_type=Path),
-    required=True,
+    "--urdf", type=FILE, required=True,
     help='The robot: a URDF, a xacro file ("FILE name:=value"), an MJCF file, or robot_descriptions:NAME.',
-)
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="The experiment folder to be made.")
+)  # fmt: skip
+@click.option("--out", type=FILE, required=True, help="The experiment folder to be made.")
 @click.option(
-    "--validation",
-    type=click.Path(path_type=Path),
-    multiple=True,
-    help="A recording that is only predicted; default: the last of several sources.",
+    "--validation", type=FILE, multiple=True, help="A recording that is only predicted; default: the last of several sources."
 )
-@click.option("--mapping", type=click.Path(path_type=Path), help="A TOML file with [columns], [units] and [units.scale].")
+@click.option("--mapping", type=FILE, help="A TOML file with [columns], [units] and [units.scale].")
 @click.option("--columns", callback=_pairs, multiple=True, help='The log\'s names by ours: "t=Time,q={joint}/pos,fx=Fx".')
 @click.option("--units", callback=_pairs, multiple=True, help='Units by quantity or column: "t=ms,q=deg,v=deg/s,tau=A".')
 @click.option("--scale", callback=_number_pairs, multiple=True, help='Factors by column or joint: "elbow_joint=11.2" [N m/A].')

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from bayesid.errors import InputError
+from bayesid.errors import EstimationError, InputError
 
 if TYPE_CHECKING:
     from bayesid.effects import EffectLibrary
     from bayesid.recordings.experiment import Experiment
+    from bayesid.results.files import Result
     from bayesid.signals.filters import LowPass
 
 
@@ -34,36 +36,46 @@ def show_progress() -> Iterator:
             yield lambda stage: status.update(f"{stage} ...")
 
 
-#: Where results go by default: a folder a verb and experiment.
-OUTPUTS = Path("bayesid-out")
-EXPERIMENT = click.argument("experiment", type=click.Path(path_type=Path))
-OUT = click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.")
-STATIC = click.option(
-    "--static", type=click.Choice(["motion", "joint"]), default="motion", show_default=True,
-    help="Subtract a stop-and-go run, or fit it along.",
-)  # fmt: skip
-BOUNDS = click.option("--bounds", type=click.Path(path_type=Path), help="A TOML file of what is known of the links; for sdp.")
-MODEL = click.option("--model", type=click.Path(path_type=Path), help="A model.toml that replaces [model].")
-EFFECTS_FROM = click.option(
-    "--effects-from", type=click.Path(path_type=Path), multiple=True,
-    help="A Python file with effects of your own, or a draft_effect.toml.",
-)  # fmt: skip
-UNUSED_SEED = click.option(
-    "--seed", type=click.IntRange(min=0), default=0, expose_value=False,
-    help="Accepted by every verb; the results of this one are the same for any seed.",
-)  # fmt: skip
-SEED = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
+@dataclass(frozen=True)
+class Run:
+    """A verb at work."""
+
+    verb: str
+    out: Path | None  # where results go, as given
+    progress: Callable[[str], None]
+
+    def write(self, result: Result, name: str) -> Path:
+        """Write a result into ``--out``, or the default folder of the verb and the experiment of a name; the report's path."""
+        self.progress("report")
+        return result.write(output_folder(self.out, name, self.verb))
+
+    @contextlib.contextmanager
+    def resumable(self, name: str) -> Iterator[Path]:
+        """The file beside the results that keeps an unfinished run; gone once that is done, named where it is interrupted."""
+        from bayesid.results.files import checkpoint_of
+
+        kept = checkpoint_of(output_folder(self.out, name, self.verb))
+        try:
+            yield kept
+        except KeyboardInterrupt:
+            raise EstimationError(f"interrupted; add --resume to go on from {kept}" if kept.exists() else "interrupted") from None
+        kept.unlink(missing_ok=True)
 
 
-def on_workers(command):
-    """Options of every verb with many runs that depend on nothing but their number, or with recordings read in chunks."""
-    options = [
-        click.option("--workers", type=click.IntRange(min=1), help="Processes on this machine that share the work; needs Dask."),
-        click.option("--scheduler", help="Address of a running Dask cluster that does the work, such as tcp://10.0.0.1:8786."),
-    ]
-    for option in reversed(options):
-        command = option(command)
-    return command
+@contextlib.contextmanager
+def running(verb: str, out: Path | None) -> Iterator[Run]:
+    """A verb at work, once it is clear that its results can be written."""
+    from bayesid.results.files import check_output
+
+    check_output(out or OUTPUTS, verb)
+    with show_progress() as progress:
+        progress("reading")
+        yield Run(verb, out, progress)
+
+
+def together(*options: Callable) -> Callable:
+    """Several options as one decorator, listed in this order."""
+    return lambda command: functools.reduce(lambda made, option: option(made), reversed(options), command)
 
 
 def names(_context, _parameter, value: str | None) -> list[str] | None:
@@ -71,33 +83,46 @@ def names(_context, _parameter, value: str | None) -> list[str] | None:
     return None if value is None else [part.strip() for part in value.split(",") if part.strip()]
 
 
-CHANNEL = click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Which readings to fit.")
+#: Where results go by default: a folder a verb and experiment.
+OUTPUTS = Path("bayesid-out")
+FILE = click.Path(path_type=Path)
+CHANNELS = click.Choice(["wrench", "torque", "both"])
+EXPERIMENT = click.argument("experiment", type=FILE)
+OUT = click.option("--out", type=FILE, help="Folder for the results.")
+STATIC = click.option(
+    "--static", type=click.Choice(["motion", "joint"]), default="motion", show_default=True,
+    help="Subtract a stop-and-go run, or fit it along.",
+)  # fmt: skip
+BOUNDS = click.option("--bounds", type=FILE, help="A TOML file of what is known of the links; for sdp.")
+MODEL = click.option("--model", type=FILE, help="A model.toml that replaces [model].")
+EFFECTS_FROM = click.option(
+    "--effects-from", type=FILE, multiple=True, help="A Python file with effects of your own, or a draft_effect.toml."
+)
+UNUSED_SEED = click.option(
+    "--seed", type=click.IntRange(min=0), default=0, expose_value=False,
+    help="Accepted by every verb; the results of this one are the same for any seed.",
+)  # fmt: skip
+SEED = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
+#: Options of every verb with many runs that depend on nothing but their number, or with recordings read in chunks.
+on_workers = together(
+    click.option("--workers", type=click.IntRange(min=1), help="Processes on this machine that share the work; needs Dask."),
+    click.option("--scheduler", help="Address of a running Dask cluster that does the work, such as tcp://10.0.0.1:8786."),
+)
+CHANNEL = click.option("--channel", type=CHANNELS, help="Which readings to fit.")
+COMPARED_CHANNEL = click.option("--channel", type=CHANNELS, help="Which readings to compare.")
 MOTIONS = click.option("--motions", callback=names, help="Motions to fit, separated by commas.")
 KNOWN_EFFECTS = click.option("--effects", callback=names, help="Effects that the model already has, separated by commas.")
-
-
-def diagnosis_options(command):
-    """Options of every verb that looks for effects in a recording."""
-    for option in (SEED, OUT, EFFECTS_FROM, MODEL, KNOWN_EFFECTS, MOTIONS):
-        command = option(command)
-    return command
-
-
-def model_options(command):
-    """Options of every verb that fits a model."""
-    options = [
-        CHANNEL,
-        click.option("--filter-l", type=float, help="First low-pass of the paper [rad/s]; default: none."),
-        click.option("--filter-d", type=float, help="Second low-pass of the paper [rad/s]; default 50 with --filter-l."),
-        click.option("--bandwidth", type=float, help="Bandwidth of the joint motion [Hz]; default: from the positions."),
-        MOTIONS,
-        click.option("--effects", callback=names, help="Effects in the model, separated by commas."),
-        MODEL,
-        EFFECTS_FROM,
-    ]
-    for option in reversed(options):
-        command = option(command)
-    return command
+EFFECTS = click.option("--effects", callback=names, help="Effects in the model, separated by commas.")
+BANDWIDTH = click.option("--bandwidth", type=float, help="Bandwidth of the joint motion [Hz]; default: from the positions.")
+#: Options of every verb that looks for effects in a recording.
+diagnosis_options = together(MOTIONS, KNOWN_EFFECTS, MODEL, EFFECTS_FROM, OUT, SEED)
+#: Options of every verb that fits a model.
+model_options = together(
+    CHANNEL,
+    click.option("--filter-l", type=float, help="First low-pass of the paper [rad/s]; default: none."),
+    click.option("--filter-d", type=float, help="Second low-pass of the paper [rad/s]; default 50 with --filter-l."),
+    BANDWIDTH, MOTIONS, EFFECTS, MODEL, EFFECTS_FROM,
+)  # fmt: skip
 
 
 def low_pass(l: float | None, d: float | None) -> LowPass | None:
@@ -111,11 +136,13 @@ def low_pass(l: float | None, d: float | None) -> LowPass | None:
     return LowPass(l, 50.0 if d is None else d)
 
 
-def load(experiment: Path, model: Path | None, effects_from: Sequence[Path]) -> Experiment:
+def load(
+    experiment: Path, model: Path | None, effects_from: Sequence[Path], read: Callable[..., Experiment] | None = None
+) -> Experiment:
     """The experiment folder, with the user's own effects, and with the model of another file where one is named."""
     from bayesid.recordings.experiment import load_experiment
 
-    loaded = load_experiment(experiment, own_effects(effects_from))
+    loaded = (read or load_experiment)(experiment, own_effects(effects_from))
     return loaded if model is None else loaded.with_model(model)
 
 

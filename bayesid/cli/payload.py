@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 import bayesid
-from bayesid.cli.options import CHANNEL, EXPERIMENT, OUTPUTS, diagnosis_options, load, output_folder, show_progress
+from bayesid.cli.options import CHANNEL, EXPERIMENT, FILE, diagnosis_options, load, running
 from bayesid.cli.terminal import say
 from bayesid.errors import InputError
-from bayesid.results.files import check_output
 
 
 def two(_context, _parameter, value: str | None) -> tuple[float, float] | None:
@@ -26,7 +23,7 @@ def two(_context, _parameter, value: str | None) -> tuple[float, float] | None:
 
 @click.command()
 @EXPERIMENT
-@click.option("--reference", type=click.Path(path_type=Path), help="The robot without the payload: a folder.")
+@click.option("--reference", type=FILE, help="The robot without the payload: a folder.")
 @CHANNEL
 @click.option("--joint", help="Joint whose link carries the payload; default: the last one, or the sensor's.")
 @click.option("--frame", help="URDF link in whose frame it is given; default: the flange.")
@@ -38,17 +35,14 @@ def payload(
     experiment, reference, channel, motions, effects, joint, frame, extent, target, diagnosis, model, effects_from, out, seed
 ) -> None:
     """Mass, centre of mass and inertia of what the last link carries, in the forms that controllers take."""
-    check_output(out or OUTPUTS, "payload")
-    with show_progress() as progress:
-        progress("reading")
+    with running("payload", out) as run:
         loaded = load(experiment, model, effects_from)
         known = None if reference is None else load(reference, model, effects_from)
         result = bayesid.payload(
             loaded, channel, reference=known, motions=motions, effects=effects, joint=joint, frame=frame, extent=extent,
-            target=target, diagnosis=diagnosis, seed=seed, progress=progress,
+            target=target, diagnosis=diagnosis, seed=seed, progress=run.progress,
         )  # fmt: skip
-        progress("report")
-        report = result.write(output_folder(out, loaded.name, "payload"))
+        report = run.write(result, loaded.name)
     say(result)
     if files := ", ".join(result.exports()):
         say(f"for controllers: {files} in {report.parent}")

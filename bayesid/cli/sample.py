@@ -7,9 +7,7 @@ import click
 import bayesid
 from bayesid.cli import options as shared
 from bayesid.cli.terminal import say
-from bayesid.errors import EstimationError
 from bayesid.estimators.prior_check import conflicts
-from bayesid.results.files import check_output, checkpoint_of
 
 
 @click.command()
@@ -30,20 +28,13 @@ from bayesid.results.files import check_output, checkpoint_of
 @shared.SEED
 def sample(experiment, filter_l, filter_d, model, effects_from, out, engine, longest, resume, **options) -> None:
     """Draws from the posterior, with convergence checks and held-out validation."""
-    check_output(out or shared.OUTPUTS, "sample")
-    filters = shared.low_pass(filter_l, filter_d)
-    loaded = shared.load(experiment, model, effects_from)
-    folder = shared.output_folder(out, loaded.name, "sample")
-    kept = checkpoint_of(folder)
-    try:
-        with shared.show_progress() as progress:
+    with shared.running("sample", out) as run:
+        filters = shared.low_pass(filter_l, filter_d)
+        loaded = shared.load(experiment, model, effects_from)
+        with run.resumable(loaded.name) as kept:
             sampler = bayesid.Sampler(engine=engine, longest=longest, checkpoint=kept, resume=resume)
-            result = bayesid.sample(loaded, low_pass=filters, sampler=sampler, progress=progress, **options)
-            progress("report")
-            report = result.write(folder)
-    except KeyboardInterrupt:
-        raise EstimationError(f"interrupted; add --resume to go on from {kept}" if kept.exists() else "interrupted") from None
-    kept.unlink(missing_ok=True)
+            result = bayesid.sample(loaded, low_pass=filters, sampler=sampler, progress=run.progress, **options)
+            report = run.write(result, loaded.name)
     say(result)
     for warning in [w for w in result.warnings if w not in conflicts(result.prior_check)]:  # those stand above
         say(f"  warning: {warning}")

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import click
 
 import bayesid
-from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, OUT, OUTPUTS, SEED, names, output_folder, own_effects, show_progress
+from bayesid.cli import options as shared
 from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import load_setup
@@ -19,27 +18,27 @@ from bayesid.simulation.trajectories import make_trajectories, planned_trajector
 
 
 @click.command()
-@EXPERIMENT
+@shared.EXPERIMENT
 @click.option("--new", is_flag=True, help="New random motions; default: those of the experiment's tables again.")
 @click.option(
-    "--trajectory",
-    type=click.Path(path_type=Path),
-    multiple=True,
+    "--trajectory", type=shared.FILE, multiple=True,
     help="A planned motion (columns t, q1 ..., v1 ..., a1 ...), as excite writes it; several: the last is for validation.",
-)
+)  # fmt: skip
 @click.option("--duration", type=float, help="Length of a new motion [s]; default 20.")
 @click.option("--rate", type=float, help="Samples a second of a new motion; default 125.")
 @click.option("--static/--no-static", default=None, help="Whether stop-and-go runs are made; default: as recorded, or none.")
-@click.option("--effects", callback=names, help="What the plant has beyond rigid bodies, by commas; default: [model] effects.")
-@click.option("--model", type=click.Path(path_type=Path), help="A model.toml with values of the effects.")
+@click.option(
+    "--effects", callback=shared.names, help="What the plant has beyond rigid bodies, by commas; default: [model] effects."
+)
+@click.option("--model", type=shared.FILE, help="A model.toml with values of the effects.")
 @click.option("--perturb", type=float, default=0.0, help="Relative standard deviation of the true links about the nominal ones.")
 @click.option("--force-std", type=float, help="Noise of a sample [N].")
 @click.option("--torque-std", type=float, help="Noise of a sample [N m].")
 @click.option("--resolution", type=float, help="One encoder count [rad or m].")
 @click.option("--position-std", type=float, help="Random encoder noise [rad or m].")
-@EFFECTS_FROM
-@OUT
-@SEED
+@shared.EFFECTS_FROM
+@shared.OUT
+@shared.SEED
 def simulate(
     experiment, new, trajectory, duration, rate, static, effects, model, effects_from, perturb, out, seed, **instruments
 ) -> None:
@@ -50,11 +49,11 @@ def simulate(
         raise InputError("--trajectory is given with --new; name the motions, or let new ones be made")
     if not 0 <= perturb <= 10:
         raise InputError(f"--perturb {perturb}: give a share from 0 to 10, such as 0.1")
-    check_output(out or OUTPUTS)
+    check_output(out or shared.OUTPUTS)
     recorder = Recorder(**instruments)
-    with show_progress() as progress:
+    with shared.show_progress() as progress:
         progress("simulating")
-        library = own_effects(effects_from)
+        library = shared.own_effects(effects_from)
         setup = load_setup(experiment, library) if new or trajectory else bayesid.load_experiment(experiment, library)
         given = setup if model is None else setup.with_model(model)
         setup = replace(setup, library=given.library)
@@ -64,7 +63,7 @@ def simulate(
             static=static, seed=seed,
         )  # fmt: skip
         simulation = bayesid.simulate(setup, made, effects=plant, perturb=perturb, recorder=recorder, seed=seed)
-        folder = output_folder(out, simulation.name, "simulate")
+        folder = shared.output_folder(out, simulation.name, "simulate")
         write_simulation(simulation, folder)
     for spec, given in simulation.truth.effects.items():
         say(f"  {spec}: " + ", ".join(f"{key} {value:.4g}" for key, value in given.items()))
