@@ -24,6 +24,7 @@ from bayesid.results.comparison import Entry, HasEntries
 from bayesid.results.estimated import HasEstimate
 from bayesid.results.files import BESIDE
 from bayesid.robot.prior import Prior
+from bayesid.robot.urdf import JointDynamics
 from bayesid.rounding import LEVEL
 from bayesid.validation.prediction import Prediction
 
@@ -169,6 +170,13 @@ class LoadedIdentification(HasEstimate, _WithPredictions):
     def link_parameters(self) -> np.ndarray:
         """Ten parameters a body (10 b), those of ``identified.urdf``."""
         return np.array(self.document["link_parameters"])
+
+    @property
+    def dynamics(self) -> JointDynamics:
+        """Friction in ``identified.urdf``, and what it has no place for."""
+        saved = self.document["identified_urdf"]
+        beside = {name: (entry["value"], entry["unit"]) for name, entry in saved["not_in_urdf"].items()}
+        return JointDynamics(saved["dynamics"], tuple(saved["negative_friction"]), beside)
 
     def parameters(self, level: float = LEVEL) -> Parameters:
         """Base parameters, then effect parameters, with central intervals of a probability.

@@ -11,7 +11,7 @@ import numpy as np
 from bayesid.arguments import argument, call
 from bayesid.design.bounds.bands import FAR, Band, band
 from bayesid.design.bounds.inside_joints import inside_joints
-from bayesid.design.bounds.knowledge import Known, known_from
+from bayesid.design.bounds.knowledge import Known
 from bayesid.design.bounds.model import ReadingModel, left_out_effects, possible_parameters, sensor_model, spread, torque_model
 from bayesid.design.bounds.remainder import Remainder, remainder
 from bayesid.design.bounds.robust import effort_ratio
@@ -28,7 +28,6 @@ from bayesid.results.bounds import ControllerBounds, TrajectoryBands
 from bayesid.results.identification import Identification
 from bayesid.results.posterior import ExperimentPosterior, posterior_robot
 from bayesid.results.text import number
-from bayesid.results.urdf_links import joint_dynamics
 from bayesid.robot.robot import Robot, motion_limits
 from bayesid.signals.filters import LowPass
 from bayesid.simulation.trajectories import Trajectory, read_trajectory
@@ -36,7 +35,7 @@ from bayesid.validation.noise_floor import noise_floor
 from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.sample import sample
-from bayesid.workflows.saved_run import known_from_run, prior_text
+from bayesid.workflows.saved_run import known_from_run, known_of_draws, known_of_estimate
 from bayesid.workflows.warnings import listed
 
 
@@ -242,28 +241,18 @@ def _fitted(
 
 def _known(source: ExperimentPosterior | Identification, prior_std: float | None, seed: int) -> Known:
     if isinstance(source, Identification):
-        e = source.estimate
-        dispersion = e.details.dispersion or 1.0
-        return known_from(
-            source.problem, source="estimate", method=e.method, mean=e.solution, covariance=e.full_covariance,
-            undetermined=e.undetermined, centre=source.urdf.unconstrained, urdf=source.urdf.links, dynamics=source.urdf.dynamics,
-            rel_std=prior_std, conflict=source.prior_check is not None and source.prior_check.conflict, dispersion=dispersion,
-            floor=source.floor, count=DRAWS, seed=seed,
+        conflict = source.prior_check is not None and source.prior_check.conflict
+        urdf = source.urdf
+        return known_of_estimate(
+            source.problem, source.estimate, urdf.unconstrained, urdf.links, urdf.dynamics, conflict, source.floor, prior_std,
+            DRAWS, seed,
         )  # fmt: skip
-    model, columns = source.model, source.columns.reshape(-1, source.columns.shape[-1])
-    links = source.link_draws
-    nothing, rank = np.zeros(columns.shape[1], bool), source.base.rank
+    model, kept = source.model, source.model.physical and source.link_draws is not None
+    prior = model.prior_draws(DRAWS, np.random.default_rng(source.seed)) if kept else None
     robot = posterior_robot(source)
-    dynamics = joint_dynamics(source.problem, columns.mean(axis=0)[rank:], ~nothing[rank:]) if robot is None else robot[1]
-    prior = model.prior_draws(DRAWS, np.random.default_rng(source.seed))
-    kept = model.physical and links is not None
-    return known_from(
-        source.problem, source="posterior", method=prior_text(model.noise, model.prior is None),
-        mean=columns.mean(axis=0), covariance=np.atleast_2d(np.cov(columns.T)), undetermined=nothing, dynamics=dynamics,
-        urdf=None if robot is None else robot[0], draws=columns,
-        link_draws=links.reshape(-1, links.shape[-1]) if kept and links is not None else None,
-        prior_draws=prior if kept else None, rel_std=prior_std or source.rel_std,
-        dispersion=model.likelihood.dispersion, count=DRAWS, seed=seed,
+    return known_of_draws(
+        source.problem, source, model.noise, model.prior is None, source.link_draws if kept else None, prior,
+        None if robot is None else robot[0], prior_std or source.rel_std, model.likelihood.dispersion, DRAWS, seed,
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from bayesid.errors import InputError
 from bayesid.results.export.identified import FoundEffect, IdentifiedRobot
 from bayesid.results.export.inverse_dynamics import InverseDynamics, cpp_header, inverse_dynamics, numpy_module
 from bayesid.results.export.mjcf import held, mjcf
-from bayesid.results.export.plain import joint_constants
+from bayesid.results.export.plain import JointConstants, joint_constants
 from bayesid.results.export.randomisation import draws_of, randomisation
 from bayesid.results.export.sdf import HELD, sdf
 from bayesid.results.exported import Exported
@@ -25,7 +25,6 @@ from bayesid.results.fitted_model import robot_of
 from bayesid.results.identification import Identification
 from bayesid.results.loaded import Loaded, LoadedIdentification, LoadedPosterior, load
 from bayesid.results.posterior import ExperimentPosterior
-from bayesid.robot.robot import Robot
 from bayesid.robot.urdf import JointDynamics, urdf_text
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 
@@ -111,91 +110,62 @@ def _found(result: Any) -> tuple[IdentifiedRobot, tuple[str, ...]]:
     """What is handed on, and what was warned of that makes it worth less."""
     if isinstance(result, (str, Path)):
         result = load(result)
-    if isinstance(result, Identification):
-        return _of_identification(result), _usable_only(result.urdf.usable)
-    if isinstance(result, ExperimentPosterior):
-        return _of_posterior(result), ()
-    if isinstance(result, LoadedIdentification):
-        return _of_file(result), _usable_only(result.document["identified_urdf"]["usable"])
-    if isinstance(result, LoadedPosterior):
+    if isinstance(result, (ExperimentPosterior, LoadedPosterior)):
         return _of_draws(result), ()
-    raise InputError(
-        f"{getattr(result, 'kind', type(result).__name__)}: cannot be exported; give what `{call('identify')}` or "
-        f"`{call('sample')}` found"
-    )
-
-
-def _usable_only(usable: bool) -> tuple[str, ...]:
-    """That links are no robot that one would build."""
+    if not isinstance(result, (Identification, LoadedIdentification)):
+        raise InputError(
+            f"{getattr(result, 'kind', type(result).__name__)}: cannot be exported; give what `{call('identify')}` or "
+            f"`{call('sample')}` found"
+        )
+    if isinstance(result, LoadedIdentification):
+        usable, dynamics = result.document["identified_urdf"]["usable"], result.dynamics
+    else:
+        usable, dynamics = result.urdf.usable, result.urdf.dynamics
+    e = result.estimate
     text = "The links of identified.urdf are no usable result, as the warnings of identify say: do not simulate with them."
-    return () if usable else (text,)
+    return IdentifiedRobot(
+        **_about(result), method=e.method, base=e.base, effect_names=e.effect_names, solution=e.solution,
+        covariance=e.full_covariance, undetermined=e.undetermined, links=result.link_parameters, dynamics=dynamics,
+    ), () if usable else (text,)  # fmt: skip
 
 
-def _effects(listed: Sequence[Mapping[str, Any]]) -> tuple[FoundEffect, ...]:
-    """Effects as ``estimate.json`` lists them."""
-    return tuple(
+def _about(result: Identification | ExperimentPosterior | LoadedIdentification | LoadedPosterior) -> dict[str, Any]:
+    """What of an identified robot is the same however it was estimated, and whether just now or read from its files."""
+    if isinstance(result, Loaded):
+        d = result.document
+        if "effects" not in d:
+            raise InputError(f"{result.path}: does not list the effects of its model, as earlier versions did not; run it again")
+        robot, locked = robot_of(d, result.path)
+        name, channel, effects = d["experiment"], d["channel"], d["effects"]
+    else:
+        experiment, channel, effects = result.problem.experiment, result.problem.channel, result.effects()
+        name, robot, locked = experiment.name, experiment.robot, dict(experiment.locked)
+    found = tuple(
         FoundEffect(
             e["name"], e["where"], {key: float(p["value"]) for key, p in e["parameters"].items()},
             {key: str(p["unit"]) for key, p in e["parameters"].items()},
         )
-        for e in listed
+        for e in effects
     )  # fmt: skip
+    return {"name": name, "channel": channel, "robot": robot, "locked": locked, "effects": found}
 
 
-def _of_identification(result: Identification) -> IdentifiedRobot:
-    problem, e = result.problem, result.estimate
-    return IdentifiedRobot(
-        name=problem.experiment.name, method=e.method, channel=problem.channel, robot=problem.experiment.robot,
-        locked=dict(problem.experiment.locked), base=e.base, effects=_effects(result.effects()), effect_names=e.effect_names,
-        solution=e.solution, covariance=e.full_covariance, undetermined=e.undetermined, links=result.urdf.links,
-        dynamics=result.urdf.dynamics,
-    )  # fmt: skip
-
-
-def _of_file(result: LoadedIdentification) -> IdentifiedRobot:
-    d, e = result.document, result.estimate
-    robot, locked = robot_of(d, result.path)
-    saved = d["identified_urdf"]
-    beside = {name: (entry["value"], entry["unit"]) for name, entry in saved["not_in_urdf"].items()}
-    return IdentifiedRobot(
-        name=d["experiment"], method=d["method"], channel=d["channel"], robot=robot, locked=locked, base=e.base,
-        effects=_effects(d["effects"]), effect_names=tuple(d["full_covariance_names"][e.base.rank :]),
-        solution=e.solution, covariance=e.full_covariance, undetermined=e.undetermined, links=result.link_parameters,
-        dynamics=JointDynamics(saved["dynamics"], tuple(saved["negative_friction"]), beside),
-    )  # fmt: skip
-
-
-def _of_posterior(result: ExperimentPosterior) -> IdentifiedRobot:
-    problem, links = result.problem, result.link_draws if result.model.physical else None
-    return _drawn(
-        problem.experiment.name, problem.channel, problem.experiment.robot, dict(problem.experiment.locked), result,
-        _effects(result.effects()), result.model.effect_names, links,
-    )  # fmt: skip
-
-
-def _of_draws(result: LoadedPosterior) -> IdentifiedRobot:
-    d = result.document
-    if "effects" not in d:
-        raise InputError(f"{result.path}: does not list the effects of its model, as earlier versions did not; run it again")
-    robot, locked = robot_of(d, result.path)
-    names = tuple(p["name"] for p in d["effect_parameters"])
-    return _drawn(d["experiment"], d["channel"], robot, locked, result, _effects(d["effects"]), names, result.link_draws)
-
-
-def _drawn(
-    name: str, channel: str, robot: Robot, locked: dict[str, float], result: ExperimentPosterior | LoadedPosterior,
-    effects: tuple[FoundEffect, ...], effect_names: tuple[str, ...], links: np.ndarray | None,
-) -> IdentifiedRobot:  # fmt: skip
+def _of_draws(result: ExperimentPosterior | LoadedPosterior) -> IdentifiedRobot:
+    about, links = _about(result), result.link_draws
+    if isinstance(result, ExperimentPosterior):
+        names, links = result.model.effect_names, links if result.model.physical else None
+    else:
+        names = tuple(p["name"] for p in result.document["effect_parameters"])
     columns = np.concatenate([result.base_draws, result.effect_draws], axis=-1)
     columns = columns.reshape(-1, columns.shape[-1])  # base parameters there always are
     if links is not None:
         links = links.reshape(-1, links.shape[-1])
     mean = columns.mean(axis=0)
     return IdentifiedRobot(
-        name=name, method="sample", channel=channel, robot=robot, locked=locked, base=result.base, effects=effects,
-        effect_names=effect_names, solution=mean, covariance=np.atleast_2d(np.cov(columns.T)),
-        undetermined=np.zeros(len(mean), bool), links=None if links is None else links.mean(axis=0), dynamics=None,
-        link_draws=links, effect_draws=None if links is None else columns[:, result.base.rank :],
+        **about, method="sample", base=result.base, effect_names=names, solution=mean,
+        covariance=np.atleast_2d(np.cov(columns.T)), undetermined=np.zeros(len(mean), bool),
+        links=None if links is None else links.mean(axis=0), dynamics=None, link_draws=links,
+        effect_draws=None if links is None else columns[:, result.base.rank :],
     )  # fmt: skip
 
 
@@ -210,28 +180,33 @@ def _links(found: IdentifiedRobot, form: str) -> np.ndarray:
 
 def _mjcf(found: IdentifiedRobot, made: _Making) -> None:
     links, dynamics = _links(found, "mjcf"), found.joint_dynamics()
-    made.texts["identified.xml"] = mjcf(found.robot, found.locked, links, dynamics)
-    made.about["mjcf"] = "identified.xml, mass matrix and bias forces as Pinocchio's"
-    constants = joint_constants(found.robot, dynamics, held())
-    made.left_out["mjcf"] = _of_robot(constants.beside)
-    _tell_negative(constants.left_out, "identified.xml", made)
+    text, constants = mjcf(found.robot, found.locked, links, dynamics), joint_constants(found.robot, dynamics, held())
+    _add_model("mjcf", "identified.xml", text, ", mass matrix and bias forces as Pinocchio's", constants, made)
 
 
 def _urdf(found: IdentifiedRobot, made: _Making) -> None:
     links, dynamics = _links(found, "urdf"), found.joint_dynamics()
-    made.texts["identified.urdf"] = urdf_text(found.robot, links, dynamics)
-    made.about["urdf"] = "identified.urdf"
-    made.left_out["urdf"] = _of_robot(dynamics.beside)
-    _tell_negative(dynamics.left_out, "identified.urdf", made)
+    _add_model("urdf", "identified.urdf", urdf_text(found.robot, links, dynamics), "", dynamics, made)
 
 
 def _sdf(found: IdentifiedRobot, made: _Making) -> None:
     links, dynamics = _links(found, "sdf"), found.joint_dynamics()
-    made.texts["identified.sdf"] = sdf(found.robot, found.locked, links, dynamics)
-    made.about["sdf"] = "identified.sdf, version 1.9, fixed to the world"
-    constants = joint_constants(found.robot, dynamics, HELD)
-    made.left_out["sdf"] = _of_robot(constants.beside)
-    _tell_negative(constants.left_out, "identified.sdf", made)
+    text, constants = sdf(found.robot, found.locked, links, dynamics), joint_constants(found.robot, dynamics, HELD)
+    _add_model("sdf", "identified.sdf", text, ", version 1.9, fixed to the world", constants, made)
+
+
+def _add_model(form: str, file: str, text: str, what: str, held: JointConstants | JointDynamics, made: _Making) -> None:
+    """The file of a form, and what it has no place for: negative constants, and effects ``beside`` it."""
+    made.texts[file], made.about[form], made.left_out[form] = text, f"{file}{what}", _of_robot(held.beside)
+    if not held.left_out:
+        return
+    said = f"Negative and so not in {file}: {', '.join(held.left_out)}. Simulators take none; look for a missing effect."
+    if any(name.endswith(" armature") for name in held.left_out):
+        said += (
+            f" The links of {file} go with a negative rotor inertia and have too much without it: identify with "
+            f"{argument('method', 'sdp')}, whose rotors and links can exist together."
+        )
+    made.warnings.append(said)
 
 
 def _of_robot(values: Mapping[str, tuple[float, str]]) -> dict[str, tuple[float, str]]:
@@ -243,38 +218,24 @@ def _of_robot(values: Mapping[str, tuple[float, str]]) -> dict[str, tuple[float,
     }  # fmt: skip
 
 
-def _tell_negative(names: Sequence[str], file: str, made: _Making) -> None:
-    if not names:
-        return
-    text = f"Negative and so not in {file}: {', '.join(names)}. Simulators take none; look for a missing effect."
-    if any(name.endswith(" armature") for name in names):
-        text += (
-            f" The links of {file} go with a negative rotor inertia and have too much without it: identify with "
-            f"{argument('method', 'sdp')}, whose rotors and links can exist together."
-        )
-    made.warnings.append(text)
-
-
 def _cpp(found: IdentifiedRobot, made: _Making) -> None:
     model = inverse_dynamics(found)
-    made.texts["inverse_dynamics.hpp"] = cpp_header(found, model)
     made.about["cpp"] = "inverse_dynamics.hpp, C++17: torques and their 95 % band"
-    _tell_code(found, model, "cpp", made)
+    _add_code("cpp", "inverse_dynamics.hpp", cpp_header(found, model), found, model, made)
 
 
 def _numpy(found: IdentifiedRobot, made: _Making) -> None:
     model = inverse_dynamics(found)
-    made.texts["inverse_dynamics.py"] = numpy_module(found, model)
     made.about["numpy"] = "inverse_dynamics.py: torques and their 95 % band"
-    _tell_code(found, model, "numpy", made)
+    _add_code("numpy", "inverse_dynamics.py", numpy_module(found, model), found, model, made)
 
 
-def _tell_code(found: IdentifiedRobot, model: InverseDynamics, form: str, made: _Making) -> None:
+def _add_code(form: str, file: str, text: str, found: IdentifiedRobot, model: InverseDynamics, made: _Making) -> None:
     values = {
         f"{effect.spec}.{key}": (value, effect.units[key])
         for effect in found.effects if effect.spec in model.left_out for key, value in effect.values.items()
     }  # fmt: skip
-    made.left_out[form] = _of_robot(values)
+    made.texts[file], made.left_out[form] = text, _of_robot(values)
     if model.foreign:
         made.warnings.append(
             f"These readings say nothing of {model.foreign} of {len(model.bodies[0])} base parameters of the joint torques: they "

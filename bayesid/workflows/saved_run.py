@@ -12,15 +12,17 @@ from bayesid.arguments import argument
 from bayesid.design.bounds.knowledge import PRIOR_DRAWS, Known, known_from, prior_links
 from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.errors import InputError
-from bayesid.posterior.convert import load_arviz
+from bayesid.estimators import Estimate
+from bayesid.posterior.result import Posterior
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
+from bayesid.results.loaded import LoadedIdentification, LoadedPosterior
 from bayesid.results.urdf_links import joint_dynamics
 from bayesid.robot.prior import Prior
 from bayesid.robot.urdf import JointDynamics
 from bayesid.signals.filters import LowPass
-from bayesid.validation.noise_floor import noise_floor
+from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 
 ESTIMATE, POSTERIOR = "estimate.json", "posterior.json"
 
@@ -40,14 +42,9 @@ def known_from_run(
     if options.effects is None and file.name == ESTIMATE and model.is_file():
         experiment = experiment.with_model(model)
     try:
-        return _known(experiment, file, document, options, prior_std, count, seed)
+        return _known(experiment, file, document, options, prior_std, count, seed), tuple(document["warnings"])
     except (KeyError, TypeError, IndexError) as error:
         raise InputError(f"{file}: is not as a run of bayesid writes it ({error}); run it again") from None
-
-
-def prior_text(noise: str, flat: bool) -> str:
-    """What a posterior is called beside estimators' names."""
-    return f"{'flat' if flat else 'nominal'} prior, {noise} noise"
 
 
 def _read(file: Path) -> dict[str, Any]:
@@ -70,44 +67,36 @@ def _known(
     prior_std: float | None,
     count: int,
     seed: int,
-) -> tuple[Known, tuple[str, ...]]:
+) -> Known:
     if document["experiment"] != experiment.name:
         other = document["experiment"]
         raise InputError(f"{file}: is of experiment '{other}', not of '{experiment.name}'; name a run of this one")
     problem = _problem(experiment, document, options)
     base, effects = problem.row_model.base, problem.regression.effect_names
-    listed = [p["name"] for p in document["base_parameters"]]
-    posterior = file.name == POSTERIOR
-    names = [*listed, *(p["name"] for p in document["effect_parameters"])] if posterior else document["full_covariance_names"]
-    if list(names) != [*base.names, *effects]:
+    names = [p["name"] for p in (*document["base_parameters"], *document["effect_parameters"])]
+    if names != [*base.names, *effects]:
         raise InputError(
             f"{file}: its parameters are not those of this experiment and model; give the {argument('effects')} and "
             f"{argument('static')} of that run, or run it again"
         )
-    warned = tuple(document["warnings"])
-    if posterior:
-        return _posterior(problem, file, document, prior_std, count, seed), warned
-    effect_values = {
-        f"{e['name']}@{e['where']}.{key}": (entry["value"], entry["std"])
-        for e in document["effects"] for key, entry in e["parameters"].items()
-    }  # fmt: skip
-    classes = [p["class"] for p in document["base_parameters"]]
-    dispersion = document["details"].get("dispersion") or 1.0
-    covariance = document["full_covariance"]
-    undetermined = np.array([*(c == "prior" for c in classes), *(effect_values[n][1] is None for n in effects)], bool)
-    values = np.array([p["value"] for p in document["base_parameters"]])
-    saved = document["identified_urdf"]
-    beside = {name: (entry["value"], entry["unit"]) for name, entry in saved["not_in_urdf"].items()}
-    return known_from(
-        problem, source="estimate", method=document["method"],
-        mean=np.concatenate([values, [effect_values[n][0] for n in effects]]),
-        covariance=None if covariance is None else np.array(covariance, float),
-        undetermined=undetermined, centre=nearest_links(experiment.robot, base, values, ~undetermined[: base.rank]),
-        urdf=np.array(document["link_parameters"], float),
-        dynamics=JointDynamics(saved["dynamics"], tuple(saved["negative_friction"]), beside), rel_std=prior_std,
-        conflict=bool((document["prior_against_data"] or {}).get("conflict")), dispersion=dispersion, floor=noise_floor(problem),
-        count=count, seed=seed,
-    ), warned  # fmt: skip
+    if file.name == POSTERIOR:
+        drawn = LoadedPosterior("ExperimentPosterior", document, "", file)
+        prior, links, rel_std = None, None, prior_std or document["inertia_rel_std"]
+        nominal = problem.regression.knowledge.nominal_links
+        if "bodies that can exist only" in document["prior"] and rel_std and nominal is not None:
+            links = drawn.link_draws
+            prior = prior_links(base, Prior.warped(nominal, rel_std), PRIOR_DRAWS, seed)
+        return known_of_draws(
+            problem, drawn, document["noise"], document["prior"].startswith("flat"), links, prior, None, rel_std,
+            float(document["dispersion"]), count, seed,
+        )  # fmt: skip
+    found = LoadedIdentification("Identification", document, "", file)
+    e = found.estimate
+    centre = nearest_links(experiment.robot, base, e.values, ~e.undetermined[: base.rank])
+    conflict = bool((document["prior_against_data"] or {}).get("conflict"))
+    return known_of_estimate(
+        problem, e, centre, found.link_parameters, found.dynamics, conflict, noise_floor(problem), prior_std, count, seed
+    )
 
 
 def _problem(experiment: Experiment, document: dict[str, Any], options: FitOptions) -> Problem:
@@ -124,28 +113,30 @@ def _problem(experiment: Experiment, document: dict[str, Any], options: FitOptio
     )  # fmt: skip
 
 
-def _posterior(problem: Problem, file: Path, document: dict[str, Any], prior_std: float | None, count: int, seed: int) -> Known:
-    path = file.parent / "posterior.nc"
-    if not path.is_file():
-        raise InputError(f"{path}: no such file, and the draws are in it; sample again")
-    group = load_arviz().from_netcdf(str(path))["posterior"]
-    base = problem.row_model.base
-
-    def drawn(name: str, size: int) -> np.ndarray:
-        if not size:  # no effects: no such variable
-            return np.zeros((group["base"].values[..., 0].size, 0))
-        return np.asarray(group[name].values, float).reshape(-1, size)
-
-    draws = np.concatenate([drawn("base", base.rank), drawn("effect", len(problem.regression.effect_names))], axis=1)
-    prior, links, rel_std = None, None, prior_std or document["inertia_rel_std"]
-    nominal = problem.regression.knowledge.nominal_links
-    if "bodies that can exist only" in document["prior"] and rel_std and nominal is not None:
-        links = drawn("link", len(base.parameter_names))
-        prior = prior_links(base, Prior.warped(nominal, rel_std), PRIOR_DRAWS, seed)
-    nothing, mean = np.zeros(draws.shape[1], bool), draws.mean(axis=0)
+def known_of_estimate(
+    problem: Problem, e: Estimate, centre: np.ndarray, urdf: np.ndarray, dynamics: JointDynamics, conflict: bool,
+    floor: NoiseFloor | None, prior_std: float | None, count: int, seed: int,
+) -> Known:  # fmt: skip
+    """What is known after an estimate; the rest is as in `bayesid.design.bounds.knowledge.known_from`."""
     return known_from(
-        problem, source="posterior", method=prior_text(document["noise"], document["prior"].startswith("flat")),
-        mean=mean, covariance=np.atleast_2d(np.cov(draws.T)), undetermined=nothing, draws=draws, link_draws=links,
-        prior_draws=prior, dynamics=joint_dynamics(problem, mean[base.rank :], ~nothing[base.rank :]), rel_std=rel_std,
-        dispersion=float(document["dispersion"]), count=count, seed=seed,
+        problem, source="estimate", method=e.method, mean=e.solution, covariance=e.full_covariance, undetermined=e.undetermined,
+        centre=centre, urdf=urdf, dynamics=dynamics, rel_std=prior_std, conflict=conflict,
+        dispersion=e.details.dispersion or 1.0, floor=floor, count=count, seed=seed,
+    )  # fmt: skip
+
+
+def known_of_draws(
+    problem: Problem, posterior: Posterior | LoadedPosterior, noise: str, flat: bool, links: np.ndarray | None,
+    prior: np.ndarray | None, urdf: np.ndarray | None, rel_std: float | None, dispersion: float, count: int, seed: int,
+) -> Known:  # fmt: skip
+    """What is known after a posterior, by its prior and noise, draws of links (chains, draws, P) and of their prior (m, P)."""
+    draws = np.concatenate([posterior.base_draws, posterior.effect_draws], axis=-1)
+    draws = draws.reshape(-1, draws.shape[-1])
+    nothing, mean, rank = np.zeros(draws.shape[1], bool), draws.mean(axis=0), problem.row_model.base.rank
+    return known_from(
+        problem, source="posterior", method=f"{'flat' if flat else 'nominal'} prior, {noise} noise", mean=mean,
+        covariance=np.atleast_2d(np.cov(draws.T)), undetermined=nothing, draws=draws, urdf=urdf,
+        link_draws=None if links is None else links.reshape(-1, links.shape[-1]), prior_draws=prior,
+        dynamics=joint_dynamics(problem, mean[rank:], ~nothing[rank:]), rel_std=rel_std, dispersion=dispersion, count=count,
+        seed=seed,
     )  # fmt: skip
