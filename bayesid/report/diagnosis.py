@@ -21,6 +21,7 @@ from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.separation import Visible
 from bayesid.drawing import Figures, figures_of
 from bayesid.effects import Effect
+from bayesid.recordings.complaints import listed
 from bayesid.report.diagnosis_figures import before_and_after, evidence, push_course, residual_maps, signals, waterfall
 from bayesid.report.diagnosis_views import Views, diagnosis_views
 from bayesid.report.excitation import PAIRS, motion_plot
@@ -94,8 +95,7 @@ def described_section(data: DiagnosisData, description: Description) -> ShownSec
     terms = []
     for c, causes in zip(d.terms, d.causes, strict=True):
         others = not_distinguished(c)
-        more = f" and {len(others) - _LISTED} more" if len(others) > _LISTED else ""
-        rivals = f"{', '.join(f'`{o}`' for o in others[:_LISTED])}{more}: these do as well there." if others else ""
+        rivals = f"{listed((f'`{o}`' for o in others), _LISTED)}: these do as well there." if others else ""
         share, low = percent(min(c.share, 1.0)), percent(min(c.share_low, 1.0))
         terms.append(
             f"`{', '.join(c.candidate.shape.texts)}` closes {share} of what was left on the other half (at least {low}). "

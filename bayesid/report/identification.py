@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters, notation
 from bayesid.estimators import Estimate
+from bayesid.recordings.complaints import listed
 from bayesid.regression.regression import Regression
 from bayesid.report.accuracy_figures import certificate_section
 from bayesid.report.identification_figures import bandwidth_sensitivity, parameter_intervals
@@ -98,8 +99,7 @@ def _plain(value: Any) -> str:
 
 
 def _listed(texts: Sequence[str]) -> str:
-    more = f" and {len(texts) - _SHOWN} more" if len(texts) > _SHOWN else ""
-    return (", ".join(texts[:_SHOWN]) + more) or "none"
+    return listed(texts, _SHOWN) or "none"
 
 
 def _windows(value: Mapping[str, Any]) -> str:

@@ -14,7 +14,7 @@ from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters, write_model
-from bayesid.results.files import Files, ShownResult
+from bayesid.results.files import Files, ShownResult, strict
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
 from bayesid.section import ShownTable, as_html
 
@@ -109,7 +109,7 @@ class Changes(ShownResult):
         """What ``diagnosis.json`` holds."""
         c = self.comparison
         minimum = {h.change.spec: h.value for h in c.hidden}
-        return {
+        return strict({
             "schema": SCHEMA,
             "experiment": self.experiment.name,
             "reference": self.reference,
@@ -123,7 +123,7 @@ class Changes(ShownResult):
             "candidates": [
                 {
                     "name": h.name, "where": h.where, "log_bayes_factor": e,
-                    "minimum_detectable": _finite(minimum.get(h.spec, np.inf)),
+                    "minimum_detectable": minimum.get(h.spec, np.inf),
                 }
                 for h, e in c.scores
             ],
@@ -134,7 +134,7 @@ class Changes(ShownResult):
             },
             "next_experiment": next_experiment(c),
             "runtime_s": self.seconds,
-        }  # fmt: skip
+        })  # fmt: skip
 
     def _beside(self) -> Files:
         effects, values = self.model
@@ -148,7 +148,7 @@ class Changes(ShownResult):
         return {
             "metric": f"rms on {p.segments} stretches held out in turn, over what the recording's own fit leaves",
             "before": float(np.sqrt(p.reference)), "after": float(np.sqrt(after)), "floor": float(np.sqrt(p.floor)),
-            "closed": _finite(p.closed), "closed_low": _finite(p.closed_low),
+            "closed": p.closed, "closed_low": p.closed_low,
             "steps": steps, "tolerance_alone": float(np.sqrt(p.tolerance)),
         }  # fmt: skip
 
@@ -177,12 +177,8 @@ def change_dict(x: NamedChange) -> dict[str, Any]:
         "derived": {v.name: with_ends(v.value, v.std, v.unit) for v in x.derived},
         "ambiguous_with": [{"name": h.name, "where": h.where} for h, _ in x.found.rivals],
         "next_best": None if lead is None else {"name": lead[0].name, "where": lead[0].where, "behind": lead[1]},
-        "share": _finite(x.share), "share_low": _finite(x.share_low),
+        "share": x.share, "share_low": x.share_low,
     }  # fmt: skip
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def worded(change: Hypothesis, comparison: ReferenceComparison) -> str:

@@ -11,6 +11,7 @@ import tomli_w
 from bayesid.diagnosis.description.choose import Chosen
 from bayesid.diagnosis.description.describe import Description, unit_of
 from bayesid.estimators.parameters import with_ends
+from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import dump_model
 from bayesid.results.fitted_model import fitted_model
@@ -67,8 +68,7 @@ def described_lines(description: Description, names: tuple[str, ...]) -> list[st
         text = chosen.candidate.shape.texts[0]
         lines.append(f"  {text} may be: {'; or '.join(causes)}")
         if others := not_distinguished(chosen):
-            more = f" and {len(others) - _LISTED} more" if len(others) > _LISTED else ""
-            lines.append(f"  {text} cannot be told from: {', '.join(others[:_LISTED])}{more}")
+            lines.append(f"  {text} cannot be told from: {listed(others, _LISTED)}")
     lines.append(f"  use it: {use_line(d)}")
     return lines
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,9 +27,10 @@ from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.results.described import DRAFT, described_lines, description_dict, terms_of, write_draft
 from bayesid.results.files import Files, ShownResult
 from bayesid.results.fitted_model import fitted_model
-from bayesid.results.telling import NEXT_MOTION, telling_dict, write_motion
+from bayesid.results.telling import NEXT_MOTION, telling_dict
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
 from bayesid.section import Part, ShownTable, as_html
+from bayesid.simulation.trajectories import write_trajectory
 from bayesid.validation.own_fit import MotionErrors
 from bayesid.validation.prediction import Prediction
 
@@ -235,7 +237,7 @@ class Diagnosis(ShownResult):
         effects, values = self.model
         files = {"model.toml": lambda path: write_model(effects, values, path, self.data.experiment.library.expressions)}
         if (telling := self.telling) is not None:
-            files[NEXT_MOTION] = lambda path: write_motion(telling, path)
+            files[NEXT_MOTION] = partial(write_trajectory, telling.trajectory)
         if (description := self.description) is not None:
             files[DRAFT] = lambda path: write_draft(description, self.data.experiment, path)
         return files

@@ -6,10 +6,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from bayesid.effects import Term
+import numpy as np
+
+from bayesid.effects import Effect, Term
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters
+from bayesid.regression.row_model import RowModel
 from bayesid.robot.robot import Robot, load_robot
 
 
@@ -31,6 +34,20 @@ def fitted_model(
         found = {key: float(value) for key, value in zip(effect.parameters, term.values, strict=True)}
         values[effect.spec] = {**found, "fixed": True} if stated.get("fixed", False) else dict(found)
     return tuple(dict.fromkeys(effects)), values
+
+
+def by_effect(row_model: RowModel, values: np.ndarray, std: np.ndarray) -> list[tuple[Effect, np.ndarray, np.ndarray]]:
+    """Every effect of the model with the values of its parameters and their standard deviations.
+
+    ``values`` and ``std`` are those that were estimated (e,); the others are as they were held, their standard deviations nan.
+    """
+    whole = np.full((2, len(row_model.free)), np.nan)
+    whole[0] = 0.0 if row_model.point is None else row_model.point.values
+    whole[:, row_model.free] = values, std
+    ends = np.cumsum([len(effect.parameters) for effect in row_model.effects])
+    return (
+        [(e, *part) for e, part in zip(row_model.effects, np.split(whole, ends[:-1], axis=1), strict=True)] if len(ends) else []
+    )
 
 
 def robot_section(experiment: Experiment) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from bayesid.design.separability import Separation
 from bayesid.design.visibility import LETTERS, WORDS, LinkExpectation, by_body
 from bayesid.drawing import figures_of
 from bayesid.posterior.result import PRIOR_DRIVEN
+from bayesid.recordings.complaints import listed
 from bayesid.results.files import ShownResult, strict
 from bayesid.results.telling import chance
 from bayesid.results.text import DASH, number, percent
@@ -77,9 +78,8 @@ class Identifiability(ShownResult):
         motions = ", ".join(n + (f" ({number(d, 3)} s)" if d else "") for n, d in self.motions.items())
         classes = []
         for kind, count in counts(main):
-            names = [p.name for p in main.parameters if p.kind == kind]
-            more = f" and {count - _NAMED} more" if count > _NAMED else ""
-            classes.append(f"{count} {WORDS[kind]}: {', '.join(names[:_NAMED])}{more}")
+            names = listed((p.name for p in main.parameters if p.kind == kind), _NAMED)
+            classes.append(f"{count} {WORDS[kind]}: {names}")
         if len(self.sensor_sets) > 1:
             classes += side_by_side(self)
         expected = [spread(main), *(f"effect {name}: {text}" for name, text in effect_lines(main))]

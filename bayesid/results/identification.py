@@ -24,7 +24,7 @@ from bayesid.regression.parallel import in_order, one_blas_thread
 from bayesid.regression.problem import Problem
 from bayesid.results.estimated import HasEstimate, PlotsPredictions
 from bayesid.results.files import Files, Result
-from bayesid.results.fitted_model import fitted_model, robot_section
+from bayesid.results.fitted_model import by_effect, fitted_model, robot_section
 from bayesid.results.urdf_links import UrdfLinks, impossible_bodies
 from bayesid.robot.urdf import write_urdf
 from bayesid.rounding import LEVEL
@@ -289,17 +289,10 @@ class Identification(PlotsPredictions, HasEstimate, Result):
 
     def _fitted_effects(self) -> list[tuple[Term, np.ndarray]]:
         """Every effect with its values, and their standard deviations (k,), nan where there is none."""
-        row_model = self.problem.row_model
-        values = np.zeros(len(row_model.free)) if row_model.point is None else row_model.point.values.copy()
-        stds = np.full(len(row_model.free), np.nan)
-        values[row_model.free] = self.estimate.solution[self.base.rank :]
-        stds[row_model.free] = self.estimate.full_std[self.base.rank :]
-        out, first = [], 0
-        for effect in row_model.effects:
-            own = slice(first, first + len(effect.parameters))
-            first = own.stop
-            found = self.offset if effect.absorbs_weight and self.offset is not None else (values[own], stds[own])
-            out.append((Term(effect, tuple(found[0])), found[1]))
+        rank, out = self.base.rank, []
+        for effect, *found in by_effect(self.problem.row_model, self.estimate.solution[rank:], self.estimate.full_std[rank:]):
+            values, std = self.offset if effect.absorbs_weight and self.offset is not None else found
+            out.append((Term(effect, tuple(values)), std))
         return out
 
 

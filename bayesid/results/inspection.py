@@ -11,7 +11,7 @@ import numpy as np
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.motion_checks import REPORTED, Timing
-from bayesid.results.files import ShownResult
+from bayesid.results.files import ShownResult, strict
 from bayesid.section import ShownTable
 from bayesid.validation.mistakes.candidates import Mistake
 from bayesid.validation.own_fit import left_dict, left_text
@@ -47,10 +47,10 @@ class MotionSummary:
         m = self.motion
         return {
             "name": m.name, "role": m.role, "kind": m.kind, "samples": len(m.table), "duration_s": m.table.duration,
-            "rate_hz": _finite(self.rate), "gaps": [list(g) for g in self.gaps],
+            "rate_hz": self.rate, "gaps": [list(g) for g in self.gaps],
             "dropped_samples": self.timing.dropped if self.timing else 0, "jitter_s": self.timing.jitter if self.timing else None,
             "columns": list(self.columns),
-            "lowest": self.lowest.tolist(), "highest": self.highest.tolist(), "speed": [_finite(v) for v in self.speed],
+            "lowest": self.lowest.tolist(), "highest": self.highest.tolist(), "speed": self.speed,
             "static": self.static, "static_samples": 0 if m.static is None else len(m.static),
             "period_s": m.period, "parked": [list(p) for p in m.parked], "noise_std": self.noise,
             "noise_at_rest_std": self.noise_at_rest,
@@ -117,8 +117,8 @@ class Inspection(ShownResult):
     def to_dict(self) -> dict[str, Any]:
         """What ``check.json`` holds."""
         robot, sensor = self.experiment.robot, self.experiment.sensor
-        limits = {k: [_finite(v) for v in getattr(robot, k)] for k in ("lower", "upper", "velocity_limit", "effort_limit")}
-        return {
+        limits = {k: getattr(robot, k) for k in ("lower", "upper", "velocity_limit", "effort_limit")}
+        return strict({
             "schema": SCHEMA,
             "experiment": self.name,
             "warnings": list(self.warnings),
@@ -138,14 +138,14 @@ class Inspection(ShownResult):
             "motions": [m.to_dict() for m in self.motions],
             "bandwidth_hz": self.bandwidth,
             "bandwidth_reason": self.bandwidth_reason,
-            "position_std": [_finite(v) for v in self.position_std],
+            "position_std": self.position_std,
             "left": [left_dict(p) for p in self.left],
             "sensor_sets": [
                 {"readings": s.name, "rank": s.base.rank, "available": s.available, "base_parameters": list(s.base.names),
                  "invisible": list(s.base.invisible)}
                 for s in self.sensor_sets
             ],
-        }  # fmt: skip
+        })  # fmt: skip
 
     def __repr__(self) -> str:
         found = f"{len(self.mistakes)} mistakes, {len(self.warnings)} warnings"
@@ -176,7 +176,3 @@ class Inspection(ShownResult):
             lines.append("velocities are those of the smoothed positions; columns v are only compared with them")
         lines += [f"rank {s.base.rank} from {s.name}{'' if s.available else ' (not recorded)'}" for s in self.sensor_sets]
         return lines
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

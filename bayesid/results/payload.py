@@ -13,7 +13,7 @@ from bayesid.design.payload.poses import NextPoses
 from bayesid.errors import InputError
 from bayesid.results.beside import EffectBeside, cells
 from bayesid.results.controllers import FORMATS, Load
-from bayesid.results.files import Files, ShownResult
+from bayesid.results.files import Files, ShownResult, strict
 from bayesid.results.text import channel_text, number
 from bayesid.robot import inertia
 from bayesid.robot.inertia import PARAMETERS, inertia_matrix
@@ -232,7 +232,7 @@ class PayloadEstimate(ShownResult):
 
     def to_dict(self) -> dict[str, Any]:
         """What ``payload.json`` holds."""
-        return {
+        return strict({
             "schema": SCHEMA, "experiment": self.name, "channel": self.channel,
             "source": {"kind": self.source, "detail": self.source_detail},
             "carried_by": self.carrier, "frame": self.frame,
@@ -246,7 +246,7 @@ class PayloadEstimate(ShownResult):
             "parameters": {
                 "names": list(PARAMETERS), "values": self.body.possible.mean.tolist(),
                 "covariance": self.body.covariance.tolist(),
-                "determined": self.body.shown.tolist(), "degrees_of_freedom": _finite(self.body.freedom),
+                "determined": self.body.shown.tolist(), "degrees_of_freedom": self.body.freedom,
             },
             "sensor_offset": {q.name: q.to_dict() for q in self.offset} or None,
             "centre_in_sensor": None if self.centre_in_sensor is None else self.centre_in_sensor.tolist(),
@@ -255,11 +255,11 @@ class PayloadEstimate(ShownResult):
             "next": None if self.more is None else {
                 "file": NEXT_POSES, "poses": self.more.positions.tolist(), "reached": self.more.reached,
                 "wanted": {"mass": self.more.wanted[0], "centre_of_mass": self.more.wanted[1]},
-                "expected": {"mass": _finite(self.more.expected[0]), "centre_of_mass": _finite(self.more.expected[1])},
+                "expected": {"mass": self.more.expected[0], "centre_of_mass": self.more.expected[1]},
             },
             "log_evidence": self.evidence, "nominal_share": self.nominal_share,
             "summary": list(self.sentences), "warnings": list(self.warnings), "runtime_s": dict(self.seconds),
-        }  # fmt: skip
+        })  # fmt: skip
 
 
 def _together(quantities: tuple[Quantity, ...]) -> dict[str, Any]:
@@ -268,10 +268,6 @@ def _together(quantities: tuple[Quantity, ...]) -> dict[str, Any]:
     lists = {k: [getattr(q, k) for q in quantities] if shown else None for k in ("value", "std", "low", "high")}
     each = {q.name: q.to_dict() for q in quantities}
     return {**lists, "order": list(each), "unit": quantities[0].unit, "shown": shown, **each}
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _poses(positions: np.ndarray) -> str:

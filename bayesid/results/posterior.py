@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ from bayesid.posterior.result import Posterior
 from bayesid.regression.problem import Problem
 from bayesid.results.estimated import PlotsPredictions
 from bayesid.results.files import Files, Result
-from bayesid.results.fitted_model import robot_section
+from bayesid.results.fitted_model import by_effect, robot_section
 from bayesid.results.urdf_links import joint_dynamics
 from bayesid.robot.urdf import JointDynamics, write_urdf
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
@@ -59,23 +58,17 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
 
     def effects(self) -> list[dict[str, Any]]:
         """Every effect of the model with the means and standard deviations (None: fixed) of its parameters, and units."""
-        row_model = self.problem.row_model
-        values = np.zeros(len(row_model.free)) if row_model.point is None else row_model.point.values.copy()
-        stds = np.full(len(row_model.free), np.nan)
-        values[row_model.free], stds[row_model.free] = (
-            self.effect_draws.mean(axis=(0, 1)), self.effect_draws.std(axis=(0, 1), ddof=1)
-        )  # fmt: skip
-        entries = iter(zip(values.tolist(), stds.tolist(), strict=True))
+        draws = self.effect_draws
+        found = by_effect(self.problem.row_model, draws.mean(axis=(0, 1)), draws.std(axis=(0, 1), ddof=1))
         return [
             {
                 "name": effect.name, "where": effect.where,
                 "parameters": {
-                    key: {"value": value, "std": std if np.isfinite(std) else None, "unit": unit}
-                    for key, unit, (value, std) in zip(effect.parameters, effect.units, itertools.islice(
-                        entries, len(effect.parameters)), strict=True)
+                    key: {"value": float(value), "std": float(std) if np.isfinite(std) else None, "unit": unit}
+                    for key, unit, value, std in zip(effect.parameters, effect.units, values, stds, strict=True)
                 },
             }
-            for effect in row_model.effects
+            for effect, values, stds in found
         ]  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:

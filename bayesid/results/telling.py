@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from bayesid.design.tell.choose import RivalPair, Telling
@@ -28,9 +27,16 @@ def telling_sentence(telling: Telling, file: str) -> str:
     text = f"Record {file} ({duration(t)}, {t.label}) and fit it together with these motions: "
     text += f"it decides between {listed_names(t.rivals)} with probability {chance(t.probability)}"
     text += "" if t.estimated else ", each at its usual size"
-    if t.hopeless:
-        text += f". Of {t.tried} motions within the limits none tells {listed_pairs(t.hopeless)}: another sensor or channel may"
-    return f"{text}."
+    return f"{text}.{_hopeless(t)}"
+
+
+def _hopeless(t: Telling) -> str:
+    """Which rivals no motion tells apart; nothing where there are none."""
+    return (
+        f" Of {t.tried} motions within the limits none tells {listed_pairs(t.hopeless)}: another sensor or channel may."
+        if t.hopeless
+        else ""
+    )
 
 
 def duration(telling: Telling) -> str:
@@ -64,15 +70,6 @@ def pair_table(telling: Telling) -> ShownTable:
     return ShownTable(["if true", "rules out", "noncentrality", "log evidence", "probability"], rows, "k k n n nb")
 
 
-def pair_dict(pair: RivalPair) -> dict[str, Any]:
-    """A pair as plain values for the JSON file."""
-    p = pair
-    return {
-        "true": p.true, "other": p.other, "noncentrality": p.noncentrality, "log_bayes_factor": p.gain,
-        "log_bayes_factor_std": p.std, "probability": p.probability,
-    }  # fmt: skip
-
-
 def telling_dict(telling: Telling, file: str) -> dict[str, Any]:
     """For the JSON file: the motion's file, the probabilities, and every pair."""
     t = telling
@@ -84,15 +81,16 @@ def telling_dict(telling: Telling, file: str) -> dict[str, Any]:
         "wrong": t.wrong,
         "sizes": "estimated" if t.estimated else "usual",
         "rivals": [{"effects": name, "probability": w} for name, w in zip(t.rivals, t.weights, strict=True)],
-        "pairs": [pair_dict(p) for p in t.pairs],
+        "pairs": [
+            {
+                "true": p.true, "other": p.other, "noncentrality": p.noncentrality, "log_bayes_factor": p.gain,
+                "log_bayes_factor_std": p.std, "probability": p.probability,
+            }
+            for p in t.pairs
+        ],
         "tried": t.tried,
         "notes": list(t.notes),
-    }
-
-
-def write_motion(telling: Telling, path: Path) -> None:
-    """The motion as a table: times, positions, velocities and accelerations."""
-    write_trajectory(telling.trajectory, path)
+    }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,7 +119,7 @@ class DistinguishingMotion(ShownResult):
     seconds: dict[str, float]
 
     def _beside(self) -> Files:
-        return {TRAJECTORY: partial(write_motion, self.telling)}
+        return {TRAJECTORY: partial(write_trajectory, self.telling.trajectory)}
 
     def __repr__(self) -> str:
         t = self.telling
@@ -135,11 +133,7 @@ class DistinguishingMotion(ShownResult):
         sizes = "as large as estimated" if t.estimated else "each at its usual size"
         text = f"A motion of {duration(t)}, {t.label}, tells {listed_names(t.rivals)}{together}, {sizes}, "
         text += f"with probability {chance(t.probability)}."
-        if t.hopeless:
-            text += (
-                f" Of {t.tried} motions within the limits none tells {listed_pairs(t.hopeless)}: another sensor or channel may."
-            )
-        return text
+        return text + _hopeless(t)
 
     def _parts(self) -> list[str | ShownTable]:
         return [f"{self.name}: {self.lead}", pair_table(self.telling)]

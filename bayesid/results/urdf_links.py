@@ -11,7 +11,9 @@ import numpy as np
 from bayesid.arguments import call
 from bayesid.estimators.conic.consistent_links import ConsistentLinks
 from bayesid.estimators.estimator import LEVEL
+from bayesid.recordings.complaints import listed
 from bayesid.regression.problem import Problem
+from bayesid.results.fitted_model import by_effect
 from bayesid.robot import inertia
 from bayesid.robot.urdf import JointDynamics
 
@@ -102,8 +104,8 @@ class UrdfLinks:
         inside = moved is None or moved.inside
         if moved is not None and not moved.inside:
             labels = [f"{label} ({sigma:.3g} sigma)" for label, sigma in moved.conflicts]
-            edge = f"; at the edge of what can exist: {_first(moved.on_boundary)}" if moved.on_boundary else ""
-            furthest = f"; moved furthest: {_first(labels)}" if labels else ""
+            edge = f"; at the edge of what can exist: {listed(moved.on_boundary, _NAMED)}" if moved.on_boundary else ""
+            furthest = f"; moved furthest: {listed(labels, _NAMED)}" if labels else ""
             out.append(
                 "No bodies that can exist have base parameters inside the estimate's uncertainty: those of identified.urdf "
                 f"are {moved.distance:.3g} sigma away, jointly ({_radius(moved)}){edge}{furthest}. Something is missing in the "
@@ -119,7 +121,7 @@ class UrdfLinks:
                 f"{100 * estimate:.3g} %: it {why}. Predict with the base parameters, simulate with the URDF."
             )
         if self.dynamics.left_out:
-            named = _first(self.dynamics.left_out)
+            named = listed(self.dynamics.left_out, _NAMED)
             out.append(
                 f"Negative friction was identified ({named}) and is not written to identified.urdf: torques "
                 "may have the wrong sign, or stand for another effect; check them, or leave that friction out of the model."
@@ -135,23 +137,17 @@ def joint_dynamics(
     ``effects`` are values of estimated parameters that go with the links, ``determined`` which of them the data determine,
     alone, and ``estimated`` those of the estimate itself where they are others: neither may be negative; (e,) each.
     """
-    row_model, friction, negative, beside = problem.row_model, {}, [], {}
-    values, known = np.zeros((2, len(row_model.free))), np.zeros(len(row_model.free), bool)
-    if row_model.point is not None:
-        values[:] = row_model.point.values
-    values[:, row_model.free] = [effects if estimated is None else estimated, effects]
-    known[row_model.free] = determined
-    column = 0
-    for effect in row_model.effects:
+    friction: dict[str, dict[str, float]] = {}
+    negative, beside = [], {}
+    own = by_effect(problem.row_model, effects if estimated is None else estimated, determined)
+    for (effect, values, known), (_, linked, _) in zip(own, by_effect(problem.row_model, effects, determined), strict=True):
         attribute, joint = effect.urdf_dynamics, effect.joint
-        own = slice(column, column + len(effect.parameters))
-        column = own.stop
         if attribute is None or joint is None:
-            beside |= dict(zip(effect.column_names, zip(values[1, own].tolist(), effect.units, strict=True), strict=True))
-        elif known[own.start]:
+            beside |= dict(zip(effect.column_names, zip(linked.tolist(), effect.units, strict=True), strict=True))
+        elif known[0] == 1.0:
             name = problem.experiment.robot.joint_names[joint]
-            if values[:, own.start].min() >= 0.0:
-                friction.setdefault(name, {})[attribute] = float(values[1, own.start])
+            if min(values[0], linked[0]) >= 0.0:
+                friction.setdefault(name, {})[attribute] = float(linked[0])
             else:
                 negative.append(f"{name} {attribute}")
     return JointDynamics(friction, tuple(negative), beside)
@@ -159,8 +155,3 @@ def joint_dynamics(
 
 def _radius(moved: ConsistentLinks) -> str:
     return f"{moved.allowed:.3g} is the radius of the {100 * LEVEL:g} % region of {moved.directions}"
-
-
-def _first(names) -> str:
-    names = list(names)
-    return ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")

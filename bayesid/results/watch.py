@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison
 from bayesid.results.changes import change_dict, value_text
-from bayesid.results.files import ShownResult
+from bayesid.results.files import ShownResult, strict
 from bayesid.results.text import DASH, number
 from bayesid.section import Cell, ShownTable
 from bayesid.validation.own_fit import left_dict
@@ -90,7 +90,7 @@ class Watched:
             **out, "effects": [change_dict(x) for x in self.changes], "gap": self.gap,
             "gap_left": float(np.sqrt((p.after if self.changes else p.tolerance) / p.floor)),
             "largest_log_evidence": self.evidence, "left": [left_dict(x) for x in self.left],
-            "times_noise": self.times_noise if np.isfinite(self.times_noise) else None,
+            "times_noise": self.times_noise,
         }  # fmt: skip
 
 
@@ -162,13 +162,13 @@ class Watch(ShownResult):
 
     def to_dict(self) -> dict[str, Any]:
         """What ``watch.json`` holds."""
-        return {
+        return strict({
             "schema": SCHEMA, "experiment": self.reference, "reference": self.folder or self.reference,
             "log_evidence_needed": self.accept, "planned": self.planned,
             "recordings": [w.to_dict() for w in self.recordings],
             "history": {spec: list(where) for spec, where in self.history.items()},
             "runtime_s": self.seconds,
-        }  # fmt: skip
+        })  # fmt: skip
 
 
 def _change_text(x: NamedChange) -> str:

@@ -19,6 +19,7 @@ from bayesid.design.bounds.workspace import CONFIGURATIONS, sobol_configurations
 from bayesid.effects import MotionSegment
 from bayesid.errors import InputError
 from bayesid.estimators import Estimator
+from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, Motion, as_experiment
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
@@ -36,7 +37,6 @@ from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.sample import sample
 from bayesid.workflows.saved_run import known_from_run, known_of_draws, known_of_estimate
-from bayesid.workflows.warnings import listed
 
 
 def assumptions(result: ControllerBounds, dropped: Sequence[str]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
-from typing import overload
+from typing import TypedDict, Unpack, overload
 
 from bayesid.design.tell.choose import tell_search
 from bayesid.diagnosis.changes.findings import compare_with_reference
@@ -40,34 +40,28 @@ from bayesid.validation.own_fit import motion_errors
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 
 
+class DiagnoseChoices(TypedDict, total=False):
+    """The keywords of `diagnose` without and with a reference, for its two signatures; explained there."""
+
+    options: FitOptions | None
+    motions: str | Sequence[str] | None
+    effects: str | Sequence[str] | None
+    seed: int
+    settings: Settings | None
+    progress: Progress | None
+
+
 @overload
 def diagnose(
-    experiment: Experiment | str | Path,
-    channel: str | None = None,
-    *,
-    reference: None = None,
-    options: FitOptions | None = None,
-    motions: str | Sequence[str] | None = None,
-    effects: str | Sequence[str] | None = None,
-    seed: int = 0,
-    settings: Settings | None = None,
-    progress: Progress | None = SHOWN,
+    experiment: Experiment | str | Path, channel: str | None = ..., *, reference: None = ..., **choices: Unpack[DiagnoseChoices]
 ) -> Diagnosis: ...
 
 
 @overload
 def diagnose(
-    experiment: Experiment | str | Path,
-    channel: str | None = None,
-    *,
-    reference: Experiment | str | Path,
-    options: FitOptions | None = None,
-    motions: str | Sequence[str] | None = None,
-    effects: str | Sequence[str] | None = None,
-    seed: int = 0,
-    settings: Settings | None = None,
-    progress: Progress | None = SHOWN,
-) -> Changes: ...
+    experiment: Experiment | str | Path, channel: str | None = ..., *, reference: Experiment | str | Path,
+    **choices: Unpack[DiagnoseChoices],
+) -> Changes: ...  # fmt: skip
 
 
 @shows_progress
@@ -127,10 +121,16 @@ def diagnose(
     chosen = some_options("diagnose", options, channel=channel, motions=motions, effects=effects)
     channel, motions, effects = chosen.channel, chosen.motions, chosen.effects
     settings, progress = settings or DEFAULT, progress or quiet
-    if reference is not None:
-        return changes(experiment, reference, channel, motions, effects, seed, settings, progress)
     since = time.perf_counter()
     with one_blas_thread():
+        if reference is not None:
+            progress("reading")
+            experiment, before = as_experiment(experiment), as_experiment(reference)
+            progress("what changed since the reference")
+            found = compare_with_reference(
+                before, experiment, channel, effects=effects, motions=motions, seed=seed, settings=settings
+            )
+            return Changes(found, time.perf_counter() - since)
         experiment = as_experiment(experiment)
         if effects is not None:
             experiment = replace(experiment, effects=tuple(effects))
@@ -277,23 +277,3 @@ def _with_description(result: Diagnosis, seed: int, progress: Progress) -> Diagn
     s = result.search
     starts = [s.best] if result.found else [s.base, *([s.best] if len(s.best.terms) > len(s.base.terms) else [])]
     return replace(result, description=describe(s.base, starts, s.library, seed))
-
-
-def changes(
-    after: Experiment | str | Path,
-    before: Experiment | str | Path,
-    channel: str | None,
-    motions: Sequence[str] | None,
-    effects: Sequence[str] | None,
-    seed: int,
-    settings: Settings,
-    progress: Progress,
-) -> Changes:
-    """What changed; parameters and errors as in `bayesid.diagnose`."""
-    since = time.perf_counter()
-    with one_blas_thread():
-        progress("reading")
-        after, before = as_experiment(after), as_experiment(before)
-        progress("what changed since the reference")
-        found = compare_with_reference(before, after, channel, effects=effects, motions=motions, seed=seed, settings=settings)
-    return Changes(found, time.perf_counter() - since)

@@ -16,6 +16,7 @@ from bayesid.estimators.against_prior import against_nominal
 from bayesid.estimators.conic.consistent_links import channel_grams
 from bayesid.estimators.nonlinear import default_method, solve
 from bayesid.estimators.prior_check import PriorCheck, conflicts
+from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import both, in_order, one_blas_thread
@@ -33,7 +34,6 @@ from bayesid.workflows.warnings import (
     contradictions,
     impossible_signs,
     incomplete,
-    listed,
     mistaken,
     not_settled,
     repeated_motions,

@@ -22,6 +22,7 @@ from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.predictive import predictive_groups
 from bayesid.posterior.result import PRIOR_DRIVEN, Posterior
 from bayesid.posterior.run import Chains, Sampler, choose_engine, run
+from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import condition_number
@@ -39,7 +40,7 @@ from bayesid.validation.flexible import flexible_gaps
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
-from bayesid.workflows.warnings import incomplete, listed, repeated_motions, unpredicted
+from bayesid.workflows.warnings import incomplete, repeated_motions, unpredicted
 
 PRIORS = ("nominal", "flat")
 

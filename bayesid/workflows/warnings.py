@@ -8,6 +8,7 @@ import numpy as np
 
 from bayesid.arguments import argument, call
 from bayesid.estimators import Estimate
+from bayesid.recordings.complaints import listed
 from bayesid.regression.problem import Problem
 from bayesid.validation.cross_checks import Agreement
 from bayesid.validation.headline import judged, useless
@@ -166,9 +167,3 @@ def not_settled(problem: Problem, estimate: Estimate) -> list[str]:
 def quoted(names: Iterable[str]) -> str:
     """Names in quotation marks."""
     return listed((f"'{name}'" for name in names), 6)
-
-
-def listed(names: Iterable[str], shown: int) -> str:
-    """The first of some names, and how many more there are."""
-    every = list(names)
-    return ", ".join(every[:shown]) + (f" and {len(every) - shown} more" if len(every) > shown else "")

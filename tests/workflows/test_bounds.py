@@ -169,6 +169,7 @@ def test_a_run_that_was_made_is_read_back(folder, runs):
         read = bayesid.bounds(folder / "arm", run=folder / run, configurations=16)
         direct = bayesid.bounds(made, configurations=16)
         np.testing.assert_allclose(read.values, direct.values, rtol=1e-9)
+        np.testing.assert_allclose(read.known.mean, direct.known.mean, rtol=1e-9)  # the sensor's offset too, as it was fitted
         np.testing.assert_allclose(read.region.std, direct.region.std, rtol=1e-6)
         assert read.known.dispersion == pytest.approx(direct.known.dispersion) and read.known.source == run
         np.testing.assert_allclose(read.trained[0], direct.trained[0], rtol=1e-2)

@@ -184,7 +184,7 @@ def test_names_are_no_code(identified):
     """A name with quotes, or with a line's end, stays within its comment or its text."""
     robot = identified.problem.experiment.robot
     robot = replace(robot, joint_names=('a"b', *robot.joint_names[1:]))
-    found = replace(workflow._of_identification(identified), name='x\n"""\\', robot=robot)
+    found = replace(workflow._found(identified)[0], name='x\n"""\\', robot=robot)
     model = inverse_dynamics(found)
     scope = {}
     exec(numpy_module(found, model), scope)
