@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import CYCLE
 from bayesid.report.figures import GREY, NOISE, add_legend, given_axes, make_grid, plain_log, styled
-from bayesid.report.identification import STATIC, mood_of
+from bayesid.report.identification import how_motions, mood_of
 from bayesid.report.page import (
     below,
     cards,
@@ -407,22 +407,13 @@ def _motion_errors(result: Comparison, index: int, role: str) -> Html:
 
 def _how(result: Comparison) -> list[tuple[str, str]]:
     problem, regression = result.problem, result.regression
-    how = []
-    if problem is not None:
-        filters = problem.row_model.filters
-        how += [
-            ("Bandwidth of the motion", f"{number(problem.smoother.bandwidth, 3)} Hz; {problem.smoother.reason}"),
-            ("Accelerations", "from a spline through the positions, without delay" if filters is None else
-             f"none: low-pass filters on both sides, l = {number(filters.l, 3)} and d = {number(filters.d, 3)} rad/s"),
-            ("Static readings", STATIC[problem.static]),
-        ]  # fmt: skip
-    how += [
+    return [
+        *([] if problem is None else how_motions(problem)),
         ("Rows", f"{regression.rows.count} of {len(regression.channel_names)} channels, the same for all estimators"),
         ("Noise", "learned once; what is left is counted in it for all, so that no estimator is judged by a noise of its own"),
         run_times(result.seconds),
         versions("numpy", "scipy", "pin"),
-    ]  # fmt: skip
-    return how
+    ]
 
 
 @figures_of.register

@@ -8,15 +8,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters, notation
-from bayesid.estimators import Estimate
 from bayesid.recordings.complaints import listed
-from bayesid.regression.regression import Regression
+from bayesid.regression.problem import Problem
 from bayesid.report.accuracy_figures import certificate_section
-from bayesid.report.identification_figures import bandwidth_sensitivity, parameter_intervals
+from bayesid.report.identification_figures import bandwidth_sensitivity, intervals_figure
 from bayesid.report.page import (
     below,
     bullets,
@@ -36,8 +34,7 @@ from bayesid.report.page import (
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.files import report_of
 from bayesid.results.identification import Identification
-from bayesid.results.loaded import LoadedIdentification
-from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_interval
+from bayesid.results.text import DASH, chance, channel_text, ends, number, percent, with_interval
 from bayesid.robot import inertia
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable, tag
 from bayesid.validation.headline import judged, still_predictable, worse_than_nothing
@@ -157,7 +154,7 @@ _WRITERS: dict[str, Callable[[Any], str]] = {
 
 #: Figures of at most so many motions of each role are shown.
 SHOWN_MOTIONS = 6
-STATIC = {"motion": "subtracted sample by sample", "joint": "fitted along", "none": "none"}
+_STATIC = {"motion": "subtracted sample by sample", "joint": "fitted along", "none": "none"}
 #: Residuals up to so many times the noise count as good and as fair.
 _GOOD, _FAIR = TOLERATED, 1.5
 _MOODS = ("good", "fair", "bad")
@@ -279,24 +276,6 @@ def _cards(result: Identification) -> list[tuple[str, str, str]]:
         text = f"from the estimate to links that can exist; {number(moved.allowed, 2)} is the 95 % region's radius"
         large.append((f"{number(moved.distance, 2)} σ", text, "good" if moved.inside else "bad"))
     return large
-
-
-def _reference(regression: Regression | LoadedIdentification, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
-    """Nominal base parameters (zero without a model) and their natural sizes (r,)."""
-    rank = estimate.base.rank
-    nominal = np.zeros(rank) if regression.nominal is None else regression.nominal
-    half = np.nan_to_num(HALF * estimate.std)
-    own = np.maximum(np.maximum(np.abs(estimate.values), np.abs(nominal)), np.maximum(half, 1e-9))
-    scale = own if regression.nominal_scale is None else regression.nominal_scale
-    return nominal, np.where(np.isfinite(scale) & (scale > 1e-9 * own), scale, own)
-
-
-def intervals_figure(regression: Regression | LoadedIdentification, estimate: Estimate, ax: Any = None) -> Figure:
-    """Base parameters against the nominal model, with their 95 % intervals."""
-    nominal, scale = _reference(regression, estimate)
-    names = [f"{name}  ({k + 1})" for k, name in enumerate(estimate.base.short_names)]
-    between = np.array([estimate.low - nominal, estimate.high - nominal])
-    return parameter_intervals(names, estimate.values - nominal, between, scale, estimate.classes, ax)
 
 
 def _identified(result: Identification) -> ShownSection:
@@ -568,22 +547,31 @@ def _both_ways(result: Identification) -> list[ShownSection]:
     ], "Static run")]  # fmt: skip
 
 
+def how_motions(problem: Problem) -> list[tuple[str, str]]:
+    """Where the joint motion comes from, and what is done with readings at rest."""
+    filters = problem.row_model.filters
+    return [
+        ("Bandwidth of the motion", f"{number(problem.smoother.bandwidth, 3)} Hz; {problem.smoother.reason}"),
+        ("Accelerations", "from a spline through the positions, without delay" if filters is None else
+         f"none: low-pass filters on both sides, l = {number(filters.l, 3)} and d = {number(filters.d, 3)} rad/s"),
+        ("Static readings", _STATIC[problem.static]),
+    ]  # fmt: skip
+
+
 def _how(result: Identification) -> list[tuple[str, str]]:
     """What was chosen and why, as pairs of a term and a text."""
     estimate, problem = result.estimate, result.problem
-    filters, noise = problem.row_model.filters, estimate.noise
+    noise = estimate.noise
     orders = {group: model.order for group, model in noise.items()}
     names, units = problem.row_model.channels.names, problem.row_model.channels.units
     sizes = [
         f"{group}: " + ", ".join(f"{c} {number(s, 2)} {u}" for c, s, u in zip(names, model.std, units, strict=True))
         for group, model in noise.items()
     ]
+    bandwidth, accelerations, static = how_motions(problem)
     how = [
-        ("Bandwidth of the motion", f"{number(problem.smoother.bandwidth, 3)} Hz; {problem.smoother.reason}"),
-        ("Accelerations", "from a spline through the positions, without delay" if filters is None else
-         f"none: low-pass filters on both sides, l = {number(filters.l, 3)} and d = {number(filters.d, 3)} rad/s"),
-        ("Rows", f"{estimate.rows} numbers, {number(1.0 / problem.row_model.step, 3)} rows a second"),
-        ("Static readings", STATIC[problem.static]),
+        bandwidth, accelerations,
+        ("Rows", f"{estimate.rows} numbers, {number(1.0 / problem.row_model.step, 3)} rows a second"), static,
         ("Noise", "autoregressive in time, correlated between channels; order "
          + ", ".join(f"{o} ({g})" for g, o in orders.items())),
         ("Noise of a sample", "; ".join(sizes)),
@@ -601,8 +589,3 @@ def _how(result: Identification) -> list[tuple[str, str]]:
 def _(result: Identification) -> Figures:
     intervals = partial(intervals_figure, result.problem.regression, result.estimate)
     return {"predictions": measured_against_predicted, "residuals": residuals, "intervals": intervals}
-
-
-@figures_of.register
-def _(result: LoadedIdentification) -> Figures:
-    return {"intervals": partial(intervals_figure, result, result.estimate)}

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from bayesid.drawing import Figures, figures_of
+from bayesid.estimators import Estimate
 from bayesid.regression.bandwidth import BandwidthChoice
+from bayesid.regression.regression import Regression
 from bayesid.report.figures import CLASSES, GREY, NOISE, PREDICTED, add_legend, given_axes, make_grid, plain_log, styled
+from bayesid.results.loaded import LoadedIdentification
+from bayesid.results.text import HALF
 
 #: Half a 95 % interval, in natural sizes, from which a parameter counts as weak: a standard deviation of one.
 WEAK = 1.96
@@ -67,6 +73,24 @@ def parameter_intervals(
     return figure
 
 
+def _reference(regression: Regression | LoadedIdentification, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
+    """Nominal base parameters (zero without a model) and their natural sizes (r,)."""
+    rank = estimate.base.rank
+    nominal = np.zeros(rank) if regression.nominal is None else regression.nominal
+    half = np.nan_to_num(HALF * estimate.std)
+    own = np.maximum(np.maximum(np.abs(estimate.values), np.abs(nominal)), np.maximum(half, 1e-9))
+    scale = own if regression.nominal_scale is None else regression.nominal_scale
+    return nominal, np.where(np.isfinite(scale) & (scale > 1e-9 * own), scale, own)
+
+
+def intervals_figure(regression: Regression | LoadedIdentification, estimate: Estimate, ax: Any = None) -> Figure:
+    """Base parameters against the nominal model, with their 95 % intervals."""
+    nominal, scale = _reference(regression, estimate)
+    names = [f"{name}  ({k + 1})" for k, name in enumerate(estimate.base.short_names)]
+    between = np.array([estimate.low - nominal, estimate.high - nominal])
+    return parameter_intervals(names, estimate.values - nominal, between, scale, estimate.classes, ax)
+
+
 def _how_sure(ax: Axes, width: np.ndarray, classes: Sequence[str]) -> None:
     """Half of each interval (r,) [% of the natural size], downwards."""
     positive = np.flatnonzero(np.isfinite(width) & (width > 0))
@@ -110,3 +134,8 @@ def bandwidth_sensitivity(choice: BandwidthChoice, std: np.ndarray) -> Figure:
         axis.axvline(taken, color=GREY, lw=1, ls=":")
         axis.set_xlabel("bandwidth [Hz]; dotted: chosen")
     return figure
+
+
+@figures_of.register
+def _(result: LoadedIdentification) -> Figures:
+    return {"intervals": partial(intervals_figure, result, result.estimate)}

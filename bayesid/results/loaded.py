@@ -159,7 +159,7 @@ class _WithParameters(Loaded):
 class LoadedIdentification(HasEstimate, _WithPredictions):
     """What `bayesid.identify` found, read back: names, values, intervals, errors of predictions, links."""
 
-    report = "identification"
+    report = "identification_figures"
 
     @property
     def estimate(self) -> Estimate:

@@ -208,20 +208,20 @@ def limit_uses(plan: Plan) -> list[LimitUse]:
         ("acceleration", acceleration, limits.acceleration[m], [f"{u}/s²" for u in units]),
     ]
     for kind, reached, most, unit in kinds:
-        out += [LimitUse(kind, *row) for row in _rows(names, reached, most, unit, worst[kind])]
+        out += _uses(kind, names, reached, most, unit, worst[kind])
     for load in limits.loads:
         limited = np.flatnonzero(np.isfinite(load.most)).tolist()
         where = [robot.joint_names[k] if load.kind == "torque" else load.channels.names[k] for k in limited]
         ratio = worst[load.kind][limited]
         unit = [load.channels.units[k] for k in limited]
-        out += [LimitUse(load.kind, *row) for row in _rows(where, ratio * load.most[limited], load.most[limited], unit, ratio)]
+        out += _uses(load.kind, where, ratio * load.most[limited], load.most[limited], unit, ratio)
     if limits.clearance is not None:
         bodies, ratio = limits.clearance, worst["collision"]
         distance = bodies.margins + (1.0 - ratio) * bodies.scale
-        out += [LimitUse("collision", *row) for row in
-                _rows(bodies.names, distance, bodies.margins, ["m"] * len(ratio), ratio)]  # fmt: skip
+        out += _uses("collision", bodies.names, distance, bodies.margins, ["m"] * len(ratio), ratio)
     return out
 
 
-def _rows(where, reached, limit, unit, ratio) -> list[tuple[str, float, float, str, float]]:
-    return [(w, float(a), float(b), u, float(c)) for w, a, b, u, c in zip(where, reached, limit, unit, ratio, strict=True)]
+def _uses(kind: str, *columns) -> list[LimitUse]:
+    """Uses of limits of a kind: where, reached, limit, unit and ratio of each."""
+    return [LimitUse(kind, w, float(a), float(b), u, float(c)) for w, a, b, u, c in zip(*columns, strict=True)]
