@@ -40,9 +40,9 @@ from bayesid.results.diagnosis import (
     steady_sentence,
     validation_sentence,
     verdict_sentence,
-    worded,
 )
 from bayesid.results.files import report_of
+from bayesid.results.fitted_model import placed
 from bayesid.results.telling import pair_table
 from bayesid.results.text import DASH, chance, channel_text, number, percent
 from bayesid.section import Cell, Part, ShownSection, ShownTable
@@ -245,7 +245,7 @@ def _found(d: Diagnosis) -> ShownSection:
         share = "" if d.part is None or d.shares(k) is None else share_range(d, k)
         course = svg(push_course(term.times, term.force, term.force_std), "course") if isinstance(term, Push) else ""
         parts.append(below(
-            worded(term.effect, d),
+            placed(term.effect, d.data.robot),
             f"{summary[0].upper()}{summary[1:]}{once}.{f' Or, just as well: {rivals}.' if rivals else ''}",
             ShownTable(["parameter", "value", "± (95 %)", "interval", "unit"], parameter_rows(d, k), "k nb n n u", "narrow"),
             figure(course, "The force that was pushed with, in base axes, with its 95 % band. Its course is free: forces and "

@@ -370,13 +370,9 @@ def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
 
 @figures_of.register
 def _(result: Posterior) -> Figures:
-    return {"marginals": partial(marginals_figure, result), "predictive": predictive}
-
-
-@figures_of.register
-def _(result: ExperimentPosterior) -> Figures:
+    motions = {"predictions": measured_against_predicted, "residuals": residuals}
     own = {"marginals": partial(marginals_figure, result), "predictive": predictive}
-    return {"predictions": measured_against_predicted, "residuals": residuals, **own}
+    return {**motions, **own} if isinstance(result, ExperimentPosterior) else own
 
 
 @figures_of.register

@@ -15,6 +15,7 @@ from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.results.files import Files, ShownResult, strict
+from bayesid.results.fitted_model import placed
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
 from bayesid.section import ShownTable, as_html
 
@@ -183,13 +184,8 @@ def change_dict(x: NamedChange) -> dict[str, Any]:
 
 def worded(change: Hypothesis, comparison: ReferenceComparison) -> str:
     """``payload at joint6 (wrist_3_joint)``; the place is left out where there is only one."""
-    effect = change.effects[0]
-    if change.where == EVERYWHERE:
-        return f"{change.name} at every joint"
-    if effect.at in ("sensor", "base", "robot"):
-        return change.name
-    own = "" if effect.joint is None else comparison.reference.robot.joint_names[effect.joint]
-    return f"{change.name} at {change.where}" + ("" if own in ("", change.where) else f" ({own})")
+    everywhere = change.where == EVERYWHERE
+    return f"{change.name} at every joint" if everywhere else placed(change.effects[0], comparison.reference.robot)
 
 
 def verdict_sentence(comparison: ReferenceComparison) -> str:

@@ -20,13 +20,13 @@ from bayesid.diagnosis.remarks import by_kind
 from bayesid.diagnosis.search import Found, Search
 from bayesid.diagnosis.stability import Stability
 from bayesid.diagnosis.validation import Gap
-from bayesid.effects import Effect, Term
+from bayesid.effects import Term
 from bayesid.effects.effect import Derived
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.results.described import DRAFT, described_lines, description_dict, terms_of, write_draft
 from bayesid.results.files import Files, ShownResult
-from bayesid.results.fitted_model import fitted_model
+from bayesid.results.fitted_model import fitted_model, placed
 from bayesid.results.telling import NEXT_MOTION, telling_dict
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
 from bayesid.section import Part, ShownTable, as_html
@@ -299,7 +299,7 @@ class Diagnosis(ShownResult):
 def verdict_sentence(diagnosis: Diagnosis) -> str:
     """The verdict in plain words."""
     d = diagnosis
-    names = [f"{worded(f.term.effect, d)} ({f.term.effect.summary})" for f in d.found]
+    names = [f"{placed(f.term.effect, d.data.robot)} ({f.term.effect.summary})" for f in d.found]
     if d.verdict == "nothing_missing":
         return "Nothing is missing that these motions could show: the model as it is explains the readings down to their noise."
     if d.verdict == "unknown":
@@ -317,7 +317,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 
 def _with_rivals(name: str, found: Found, diagnosis: Diagnosis) -> str:
     """An effect with those that explain as much."""
-    others = [worded(t.effect, diagnosis) for t, _ in found.rivals]
+    others = [placed(t.effect, diagnosis.data.robot) for t, _ in found.rivals]
     return f"either {name} or {' or '.join(others)}" if others else name
 
 
@@ -476,16 +476,6 @@ def event_sentences(diagnosis: Diagnosis) -> list[str]:
             text += f"; {who}: a broad band, over within {diagnosis.data.settings.moment:g} s"
         out.append(f"{text}. No motion of the robot explains {'it' if one else 'them'}.")
     return out
-
-
-def worded(effect: Effect, diagnosis: Diagnosis) -> str:
-    """``sensor_gain at mx``, ``tether at joint3 (elbow_joint)``; the place is left out where there is only one."""
-    if effect.at in ("sensor", "base", "robot"):
-        return effect.name
-    if effect.joint is None:
-        return f"{effect.name} at {effect.where}"
-    own = diagnosis.data.robot.joint_names[effect.joint]
-    return f"{effect.name} at {effect.where}" + ("" if own == effect.where else f" ({own})")
 
 
 def parameter_rows(diagnosis: Diagnosis, index: int) -> list[tuple[str, str, str, str, str]]:

@@ -50,6 +50,14 @@ def by_effect(row_model: RowModel, values: np.ndarray, std: np.ndarray) -> list[
     )
 
 
+def placed(effect: Effect, robot: Robot) -> str:
+    """``sensor_gain at mx``, ``tether at joint3 (elbow_joint)``; the place is left out where there is only one."""
+    if effect.at in ("sensor", "base", "robot"):
+        return effect.name
+    own = effect.where if effect.joint is None else robot.joint_names[effect.joint]
+    return f"{effect.name} at {effect.where}" + ("" if own == effect.where else f" ({own})")
+
+
 def robot_section(experiment: Experiment) -> dict[str, Any]:
     """``robot`` in ``estimate.json`` and ``posterior.json``: as `bayesid.load_robot` takes it, but for the URDF."""
     robot, sensor = experiment.robot, experiment.sensor
