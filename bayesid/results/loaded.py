@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import bayesid
-from bayesid.drawing import Figures, Plots, figures_of
+from bayesid.drawing import Plots, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
@@ -72,7 +72,7 @@ class Loaded(Plots):
         NeedsRecording
             It holds none.
         """
-        if not (drawn := figures_of(self)):
+        if not (drawn := figures_of(self) if self.report else {}):
             raise self._lacks("plot")
         return next(iter(drawn.values()))(ax=ax)
 
@@ -101,11 +101,6 @@ class Loaded(Plots):
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(str(self))}</pre>"
-
-
-@figures_of.register
-def _(_: Loaded) -> Figures:
-    return {}
 
 
 class _WithPredictions(Loaded):

@@ -3,6 +3,8 @@
 import copy
 import pickle
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 
 import joblib
@@ -116,6 +118,15 @@ def test_a_result_is_pickled_copied_and_sent(results, kind):
     for back in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result), sent(result)):
         assert type(back) is type(result) and back is not result
         assert_same(said(result), said(back))
+
+
+def test_an_unpickled_or_loaded_result_finds_its_figures_in_a_process_that_ran_no_verb(results, tmp_path):
+    (tmp_path / "changes").write_bytes(pickle.dumps(results["changes"]))
+    results["identification"].write(tmp_path / "out")
+    script = "import bayesid, pickle, pathlib, sys; here = pathlib.Path(sys.argv[1]); bayesid.load(here / 'out').plot(); "
+    script += "pickle.loads((here / 'changes').read_bytes()).write(here / 'changed')"
+    subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=True)
+    assert (tmp_path / "changed" / "report.html").is_file()
 
 
 WRITTEN = {
