@@ -148,9 +148,32 @@ def proven_effects(s: Search, seed: int) -> InPart | None:
         if better <= LEAST_GAP:
             break
     last = part and _proven(part.search, seed, part.near, exact)
+    last = last and _beyond_offset(last, seed)
     if last is not None and last.remainder > 1.0 - s.projector.data.settings.most:
         last = _where_they_act(last, seed)
     return last and replace(last, search=with_white_noise(last.search))
+
+
+def _beyond_offset(part: InPart, seed: int) -> InPart:
+    """Beside a sensor's offset only effects that close most of what it leaves in the channels that they act in.
+
+    A sensor that was not zeroed reads any offset, and what that closes of a gap says nothing for the others.
+    """
+    s, known = part.search, len(part.search.base.terms)
+    terms = s.best.terms[known:]
+    offset = tuple(t for t in terms if t.effect.estimated_without_static_run)
+    others = [k for k, t in enumerate(terms) if t not in offset]
+    if not offset or not others:
+        return part
+    users = (*s.base.terms, *offset)
+    best = fit(s.projector, (*users, *(terms[k] for k in others)), s.best)
+    groups = channel_groups(replace(s, base=fit(s.projector, users, s.base), best=best, found=tuple(s.found[k] for k in others)))
+    mostly = [g for g in groups if g.closed >= s.projector.data.settings.most]
+    if len(mostly) == len(groups):
+        return part
+    kept = frozenset(t.effect.spec for t in offset) | {spec for g in mostly for spec in g.effects}
+    fewer = fit(s.projector, (*s.base.terms, *(t for t in terms if t.effect.spec in kept)), s.best)
+    return _proven(replace(s, best=fewer), seed, kept) or part
 
 
 def _where_they_act(part: InPart, seed: int) -> InPart:
