@@ -47,9 +47,15 @@ class Grams:
         """Over all blocks (p, p)."""
         return np.asarray(self.blocks.sum(axis=0))
 
-    def _all(self, gram: np.ndarray) -> np.ndarray:
-        """With the prior (..., p, p)."""
-        return gram / self.correlation + self.prior
+    @cached_property
+    def _complete(self) -> np.ndarray:
+        """Over all blocks, with the prior (p, p)."""
+        return self.whole / self.correlation + self.prior
+
+    def _part(self, gram: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Some rows (i,) and columns (j,) with the prior (..., i, j), of a sum of blocks, or of several (..., p, p)."""
+        at = rows[:, None], columns
+        return gram[..., *at] / self.correlation + self.prior[at]
 
     def _active(self, effects: Sequence[int]) -> np.ndarray:
         """Columns that a fit of these effects has."""
@@ -60,12 +66,12 @@ class Grams:
 
         Of several sums of blocks (g, p, p) at once: (g, p) and (g, k).
         """
-        active, gram = self._active(effects), self._all(gram)
+        active = self._active(effects)
         traces = [k for k in range(self.traces) if k not in effects]
         wanted = np.array([*(self.always + len(self.owners) + k for k in traces), gram.shape[-1] - 1])
         left = np.zeros(gram.shape[:-1])
         left[..., wanted] = 1.0
-        square, right = gram[..., active[:, None], active], gram[..., active[:, None], wanted].sum(axis=-1)
+        square, right = self._part(gram, active, active), self._part(gram, active, wanted).sum(axis=-1)
         scale = np.maximum(
             np.sqrt(np.maximum(np.diagonal(square, axis1=-2, axis2=-1), np.diag(self.whole)[active] / self.correlation)), 1e-150
         )
@@ -80,13 +86,14 @@ class Grams:
         """Twice the negative log density of data and prior at the fit of these effects; of sums of blocks (g, p, p), or all."""
         gram = self.whole if gram is None else gram
         left, _ = self.fitted(gram, effects)
-        return np.einsum("...i,...ij,...j->...", left, self._all(gram), left)
+        at = np.flatnonzero(left.reshape(-1, left.shape[-1]).any(axis=0))  # most columns are of effects that are not in the model
+        return np.einsum("...i,...ij,...j->...", left[..., at], self._part(gram, at, at), left[..., at])
 
     def variances(self, gram: np.ndarray) -> np.ndarray:
         """Of all effects' parameters (k,), in units of the noise; of several sums of blocks at once (g, k)."""
         count = self.always + len(self.owners)
-        square = self._all(gram)[..., :count, :count]
-        scale = np.sqrt(np.maximum(np.diag(self._all(self.whole))[:count], 1e-300))
+        square = self._part(gram, np.arange(count), np.arange(count))
+        scale = np.sqrt(np.maximum(np.diag(self._complete)[:count], 1e-300))
         square = square / np.outer(scale, scale) + _FLAT * np.eye(count)
         with np.errstate(over="ignore"):  # infinite for a parameter that nothing shows, as a tether's length while it is slack
             return np.diagonal(np.linalg.inv(square), axis1=-2, axis2=-1)[..., self.always :] / scale[self.always :] ** 2
@@ -104,7 +111,7 @@ class Grams:
     def evidence(self, effects: Sequence[int], others: Sequence[int]) -> np.ndarray:
         """Log evidence that each of other effects would add to a fit of these (len(others),)."""
         left, _ = self.fitted(self.whole, effects)
-        gram, active = self._all(self.whole), self._active(effects)
+        gram, active = self._complete, self._active(effects)
         square = gram[np.ix_(active, active)]
         scale = np.maximum(np.sqrt(np.diag(square)), 1e-150)
         half = np.linalg.cholesky(square / np.outer(scale, scale) + _FLAT * np.eye(len(active)))
