@@ -19,6 +19,7 @@ from scipy.stats import chi2, norm
 from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.spectra import Segment, sensor_noise
 from bayesid.effects import REST_SPEED
+from bayesid.signals.repeats import runs
 
 #: Of the high-pass filter.
 _ORDER = 4
@@ -158,13 +159,3 @@ def _is_tap(high: np.ndarray, peak: int, step: float, usual: float, settings: Se
     power = np.abs(np.fft.rfft(cut)) ** 2
     width = np.sum(power) ** 2 / np.sum(power**2) / (len(cut) * step)
     return bool(width * settings.moment > 2.0)
-
-
-def runs(flags: np.ndarray, bridge: int = 1) -> list[tuple[int, int]]:
-    """Consecutive true entries as (first, one past the last); gaps of up to ``bridge`` entries are closed."""
-    at = np.flatnonzero(flags)
-    if not len(at):
-        return []
-    cuts = np.flatnonzero(np.diff(at) > bridge + 1)
-    first, last = np.concatenate([[0], cuts + 1]), np.concatenate([cuts, [len(at) - 1]])
-    return [(int(at[a]), int(at[b]) + 1) for a, b in zip(first, last, strict=True)]

@@ -14,6 +14,7 @@ from bayesid.errors import InputError
 from bayesid.recordings.complaints import Finding, columns_of, listed
 from bayesid.recordings.table import GAP, Table, holes_left
 from bayesid.robot.robot import Robot
+from bayesid.signals.repeats import runs
 
 _JUDGED = 200_000  # rows of a long recording that are looked at
 _FEWEST = 20  # changes
@@ -283,7 +284,7 @@ def _stalled(table: Table) -> np.ndarray:
 def _stalls(table: Table, stalled: np.ndarray) -> list[str]:
     """Report repeated rows that are not simply a robot at rest: it moves just before and just after them."""
     moving = _moving(table, 0.2)
-    counted = [(a, b) for a, b in _runs(stalled) if moving[max(a - 1 - _WINDOW, 0)] and moving[min(b + _WINDOW, len(table) - 1)]]
+    counted = [(a, b) for a, b in runs(stalled) if moving[max(a - 1 - _WINDOW, 0)] and moving[min(b + _WINDOW, len(table) - 1)]]
     rows = sum(b - a for a, b in counted)
     if rows < 2:
         return []
@@ -362,7 +363,7 @@ def _frozen(table: Table, j: int, stalled: np.ndarray, resolution: float | None)
     steps = np.abs(np.diff(q))
     speed = _speeds(t, q)
     top, usual = float(np.quantile(speed, 0.95)), float(np.quantile(steps[steps > 0.0], 0.95))
-    for a, b in _runs(steps == 0.0):
+    for a, b in runs(steps == 0.0):
         if t[b] - t[a] <= FROZEN_TIME or stalled[a + 1 : b + 1].all():
             continue  # the latter is said for the whole row already
         if table.velocities is not None:
@@ -393,7 +394,7 @@ def _clipped(table: Table, name: str, values: np.ndarray) -> list[str]:
     quantum = float(steps[steps > 0.0].min())
     moving: np.ndarray | None = None
     for extreme in (float(values.max()), float(values.min())):
-        held = [(a, b) for a, b in _runs(values == extreme) if b - a >= 5]
+        held = [(a, b) for a, b in runs(values == extreme) if b - a >= 5]
         if not held:
             continue
         moving = _moving(table, 0.05) if moving is None else moving
@@ -409,9 +410,3 @@ def _clipped(table: Table, name: str, values: np.ndarray) -> list[str]:
                 f"{table.times[places[0][0]]:.6g} s, as if clipped; use a larger range or leave those times out"
             ]
     return []
-
-
-def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Return the start and the stop (exclusive) of each run of true entries."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))).tolist()
-    return list(zip(edges[::2], edges[1::2], strict=True))

@@ -118,7 +118,7 @@ def _same(
     times = first[0][inside]
     # A motion that settles into its period is still on its way there while it is off by much more than later.
     limit = min(1.0, max(_SETTLED * float(np.median(distance)), 0.1)) if len(times) else 1.0
-    longest = max(_runs(distance < limit), key=lambda r: r[1] - r[0], default=(0, 0))
+    longest = max(runs(distance < limit), key=lambda r: r[1] - r[0], default=(0, 0))
     if longest[1] - longest[0] < _SHORTEST * RATE:
         return None
     part = first[1][inside][slice(*longest)]
@@ -127,17 +127,19 @@ def _same(
     return exact, float(times[longest[0]]), float(times[longest[1] - 1])
 
 
-def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """First and one past the last index of every run of true flags (N,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-    return [(int(i), int(j)) for i, j in zip(edges[::2], edges[1::2], strict=True)]
+def runs(flags: np.ndarray, bridge: int = 0) -> list[tuple[int, int]]:
+    """First and one past the last index of every run of true flags (N,); gaps of up to ``bridge`` flags are closed."""
+    at = np.flatnonzero(flags)
+    cuts = np.flatnonzero(np.diff(at) > bridge + 1)
+    first, last = at[[0, *(cuts + 1)] if len(at) else []], at[[*cuts, -1] if len(at) else []]
+    return [(int(a), int(b) + 1) for a, b in zip(first, last, strict=True)]
 
 
 def find_rests(times: np.ndarray, encoders: np.ndarray, counts: np.ndarray) -> list[tuple[float, float]]:
     """Times [s] in which no joint moves for three seconds at least, less what may still ring at both ends."""
     size = max(int(_STILL_TIME / np.median(np.diff(times))), 2)
     travel = maximum_filter1d(encoders, size, axis=0) - minimum_filter1d(encoders, size, axis=0)
-    rests = _runs(np.all(travel <= np.maximum(2.5 * counts, _STILL_TRAVEL), axis=1))
+    rests = runs(np.all(travel <= np.maximum(2.5 * counts, _STILL_TRAVEL), axis=1))
     # A filter of this width ends a rest half its width early; ringing is given as long again.
     ends = [(times[i] + _RINGING, times[j - 1] - _RINGING) for i, j in rests]
     return [(float(a), float(b)) for a, b in ends if b - a >= _SHORTEST]

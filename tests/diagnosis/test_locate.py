@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy.signal import lfilter
 
-from bayesid.diagnosis.impulse_events import kicks, runs, short_events
+from bayesid.diagnosis.impulse_events import kicks, short_events
 from bayesid.diagnosis.locate import LISTED, by_window, locate, places_looked_at
 from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.prepare import prepare_data
@@ -16,6 +16,7 @@ from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.spectra import Segment
 from bayesid.recordings.experiment import load_experiment
 from bayesid.results import diagnosis as text
+from bayesid.signals.repeats import runs
 
 JOINTS, CHANNELS = 3, 6
 LEVEL = DEFAULT.level
