@@ -36,6 +36,7 @@ def bounds(experiment, filter_l, filter_d, model, effects_from, posterior, estim
         known = _run(posterior, estimate, method, bounds)
         chosen = None if method is None else bayesid.estimator(method)
         loaded = shared.load(experiment, model, effects_from)
+        run.folder(loaded.name)  # can be written, before the long work
         if bounds is not None:
             chosen = bounded(chosen, bounds, loaded)
         result = bayesid.bounds(loaded, run=known, method=chosen, low_pass=filters, progress=run.progress, **options)

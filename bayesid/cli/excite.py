@@ -83,6 +83,7 @@ def excite(
         # What recordings tell already counts where effects are to be told apart.
         read = load_setup if tell is None else partial(load_experiment, planned=True)
         setup = shared.load(experiment, model, effects_from, read)
+        run.folder(setup.name)  # can be written, before the long work
         chosen = ExcitationOptions(joints=joints, blocks=blocks or (), quantities=quantities or (), **options)
         if tell is None:
             result = bayesid.excite(

@@ -44,17 +44,21 @@ class Run:
     out: Path | None  # where results go, as given
     progress: Callable[[str], None]
 
+    def folder(self, name: str) -> Path:
+        """``--out``, or the default folder of the verb for an experiment; an `InputError` where it cannot be written."""
+        return output_folder(self.out, name, self.verb)
+
     def write(self, result: Result, name: str) -> Path:
-        """Write a result into ``--out``, or the default folder of the verb and the experiment of a name; the report's path."""
+        """Write a result into its `folder`; the report's path."""
         self.progress("report")
-        return result.write(output_folder(self.out, name, self.verb))
+        return result.write(self.folder(name))
 
     @contextlib.contextmanager
     def resumable(self, name: str) -> Iterator[Path]:
         """The file beside the results that keeps an unfinished run; gone once that is done, named where it is interrupted."""
         from bayesid.results.files import checkpoint_of
 
-        kept = checkpoint_of(output_folder(self.out, name, self.verb))
+        kept = checkpoint_of(self.folder(name))
         try:
             yield kept
         except KeyboardInterrupt:

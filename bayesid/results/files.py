@@ -78,7 +78,7 @@ def report_of(result: object) -> str:
     raise TypeError(f"{type(result).__name__} has no report: no module of bayesid.report registers one")
 
 
-class Result(Plots):
+class Result(Plots, ABC):
     """What every verb returns: plain data that can be shown, drawn, made into a dictionary and written.
 
     Attributes
@@ -89,21 +89,24 @@ class Result(Plots):
 
     verb: ClassVar[str]
 
+    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """What its document holds."""
-        raise NotImplementedError
 
     def _beside(self) -> Files:
         """Files beside the document and the report."""
         return {}
 
     def write(self, folder: str | Path) -> Path:
-        """Write the verb's files and ``report.html``, all or none; returns the report's path."""
+        """Write the verb's files and ``report.html``, all or none; returns the report's path.
+
+        Numbers of the document that are not finite are written as null (`strict`).
+        """
         document = {**strict(self.to_dict()), "result": type(self).__name__, "printed": str(self).splitlines()}
         return write_results(folder, {WRITTEN[self.verb][0]: document}, self._beside(), report_of(self))
 
 
-class ShownResult(Result, ABC):
+class ShownResult(Result):
     """A result whose text in a terminal and a notebook is made of the same parts."""
 
     @abstractmethod

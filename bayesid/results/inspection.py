@@ -45,16 +45,16 @@ class MotionSummary:
     def to_dict(self) -> dict[str, Any]:
         """An entry of ``motions`` in ``check.json``."""
         m = self.motion
-        return {
+        return strict({
             "name": m.name, "role": m.role, "kind": m.kind, "samples": len(m.table), "duration_s": m.table.duration,
             "rate_hz": self.rate, "gaps": [list(g) for g in self.gaps],
             "dropped_samples": self.timing.dropped if self.timing else 0, "jitter_s": self.timing.jitter if self.timing else None,
             "columns": list(self.columns),
-            "lowest": self.lowest.tolist(), "highest": self.highest.tolist(), "speed": self.speed,
+            "lowest": self.lowest, "highest": self.highest, "speed": self.speed,
             "static": self.static, "static_samples": 0 if m.static is None else len(m.static),
             "period_s": m.period, "parked": [list(p) for p in m.parked], "noise_std": self.noise,
             "noise_at_rest_std": self.noise_at_rest,
-        }  # fmt: skip
+        })  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -86,12 +86,12 @@ class Watched:
         if self.comparison is None:
             return {**out, "complaint": self.complaint}
         p = self.comparison.errors
-        return {
+        return strict({
             **out, "effects": [change_dict(x) for x in self.changes], "gap": self.gap,
             "gap_left": float(np.sqrt((p.after if self.changes else p.tolerance) / p.floor)),
             "largest_log_evidence": self.evidence, "left": [left_dict(x) for x in self.left],
             "times_noise": self.times_noise,
-        }  # fmt: skip
+        })  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -195,13 +195,13 @@ def _sdf(found: IdentifiedRobot, made: _Making) -> None:
     _add_model("sdf", "identified.sdf", text, ", version 1.9, fixed to the world", constants, made)
 
 
-def _add_model(form: str, file: str, text: str, what: str, held: JointConstants | JointDynamics, made: _Making) -> None:
+def _add_model(form: str, file: str, text: str, what: str, constants: JointConstants | JointDynamics, made: _Making) -> None:
     """The file of a form, and what it has no place for: negative constants, and effects ``beside`` it."""
-    made.texts[file], made.about[form], made.left_out[form] = text, f"{file}{what}", _of_robot(held.beside)
-    if not held.left_out:
+    made.texts[file], made.about[form], made.left_out[form] = text, f"{file}{what}", _of_robot(constants.beside)
+    if not constants.left_out:
         return
-    said = f"Negative and so not in {file}: {', '.join(held.left_out)}. Simulators take none; look for a missing effect."
-    if any(name.endswith(" armature") for name in held.left_out):
+    said = f"Negative and so not in {file}: {', '.join(constants.left_out)}. Simulators take none; look for a missing effect."
+    if any(name.endswith(" armature") for name in constants.left_out):
         said += (
             f" The links of {file} go with a negative rotor inertia and have too much without it: identify with "
             f"{argument('method', 'sdp')}, whose rotors and links can exist together."

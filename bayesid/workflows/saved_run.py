@@ -84,7 +84,8 @@ def _known(
         prior, links, rel_std = None, None, prior_std or document["inertia_rel_std"]
         nominal = problem.regression.knowledge.nominal_links
         if "bodies that can exist only" in document["prior"] and rel_std and nominal is not None:
-            links = drawn.link_draws
+            if (links := drawn.link_draws) is None:
+                raise KeyError("link")
             prior = prior_links(base, Prior.warped(nominal, rel_std), PRIOR_DRAWS, seed)
         return known_of_draws(
             problem, drawn, document["noise"], document["prior"].startswith("flat"), links, prior, None, rel_std,
