@@ -154,7 +154,7 @@ def _stepped(now: Iterate) -> Iterate:
     if now.chi2 - least < close:
         return replace(now, settled=True, derivatives=derivatives, exact=True) if exact else anew
     for _ in range(_TRIALS if exact else 1):
-        # Levenberg and Marquardt: where a direction says nothing yet (a point without a force), hold it back.
+        # [Levenberg1944]_, [Marquardt1963]_: where a direction says nothing yet (a point without a force), hold it back.
         trial = _moved(terms, free, _change(gram, pull, damping, alive, limits) / scale)
         taken = np.array([trial[i].values[k] - terms[i].values[k] for i, k in free])
         moved = u

@@ -82,7 +82,7 @@ def _states(q, v, a, order, parent, turn, translation, axis, slides, root, out):
 def _tables(holder: _RobotKey):
     robot = holder.robot
     parent = np.where(robot.parent < 0, robot.n, robot.parent)
-    return chain(robot.order, parent, robot.rotation, kernel_input(robot.translation), robot.axis, robot.prismatic)
+    return chain(robot.order, parent, robot.rotation, np.array(robot.translation), robot.axis, robot.prismatic)
 
 
 class _RobotKey:
@@ -189,8 +189,8 @@ def readings_of_bodies(
     """
     q, v, a = (kernel_input(x) for x in motion)
     out = np.empty((len(q), len(channels)))
-    twists = channels.joint, kernel_input(root_twists(channels)), np.full(len(channels), -1)
-    chained = *_tables(_RobotKey(robot)), kernel_input(gravity)
+    twists = channels.joint, root_twists(channels), np.full(len(channels), -1)
+    chained = *_tables(_RobotKey(robot)), np.array(gravity, float)
     add_up_readings(q, v, a, *chained, *twists, carries, row_of, kernel_input(links), out)
     return out
 

@@ -46,7 +46,7 @@ def put_one(x, i, value):
 
 @jit
 def at_rest(rows, gravity, by_momentum):
-    """State of rows, of a root that is the last, at rest and, but for momentum, accelerated against gravity."""
+    """State of all rows (rows + 1, STATE); the last is the root, at rest and, except by momentum, accelerated against gravity."""
     state = np.zeros((rows + 1, STATE))
     for k in range(3):
         state[rows, 4 * k * _L : (4 * k + 1) * _L] = 1.0

@@ -41,7 +41,10 @@ from bayesid.signals.kernel_input import kernel_input
 
 @dataclass(frozen=True)
 class Kernel:
-    """Regressors of one robot's channels, with all that does not depend on the samples worked out once."""
+    """Regressors of one robot's channels, with all that does not depend on the samples worked out once.
+
+    Its arrays can be written, as they can after pickling: the compiled loops are compiled for one kind of array.
+    """
 
     #: A chain of rows (the joints, then split bodies), twists and columns by body, as the compiled loops take them.
     tables: tuple[Any, ...]
@@ -68,7 +71,7 @@ class Kernel:
         by_body = np.argsort(columns // 10, kind="stable")
         tables = (
             *chain(np.append(robot.order, np.arange(n, bodies)), parent, placement, translation, axis, slides),
-            channels.joint, kernel_input(channels.twist), np.where(pick, np.argmax(channels.twist, axis=1), -1),
+            channels.joint, np.array(channels.twist, float), np.where(pick, np.argmax(channels.twist, axis=1), -1),
             channels.bodies, np.searchsorted(columns[by_body] // 10, np.arange(bodies + 1)), by_body, columns[by_body] % 10,
         )  # fmt: skip
         return cls(tables, to_reference @ robot.gravity, len(columns))
@@ -147,7 +150,7 @@ def dynamics_regressor(
 def chain(
     order: np.ndarray, parent: np.ndarray, rotation: np.ndarray, translation: np.ndarray, axis: np.ndarray, slides: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Joints (r,) as the compiled loops take them, from their placements in their parents and their axes in their own frames."""
+    """Joints (r,) as the compiled loops take them, by placements in their parents, (r, 3, 3), (r, 3) [m], and axes (r, 3)."""
     # Rodrigues: placement times turn(q) = turn[0] + cos(q) turn[1] + sin(q) turn[2].
     along = axis[:, :, None] * axis[:, None, :]
     turn = rotation[:, None] @ np.stack([along, np.eye(3) - along, np.cross(axis[:, None], np.eye(3)).swapaxes(1, 2)], 1)
@@ -213,7 +216,10 @@ def _regressor(
 def add_up_readings(
     q, v, a, order, parent, turn, translation, axis, slides, gravity, twist_row, fixed_twist, pick, carries, row_of, links, out
 ):
-    """Fill ``out`` with the readings of bodies, each of which moves with a row."""
+    """Fill ``out`` (N, c) with readings of bodies of parameters ``links`` (b, 10), each moving with its row ``row_of`` (b,).
+
+    ``carries`` (c, b) says which bodies a channel carries.
+    """
     bodies, channels, samples = len(links), len(twist_row), len(q)
     state, motion = at_rest(len(parent), gravity, False), np.zeros((len(parent), 5 * LANES))
     wrench, total = np.zeros((bodies, 6 * LANES)), np.zeros(6 * LANES)

@@ -116,9 +116,9 @@ class Regression:
 
     # ---- rows ---------------------------------------------------------------------------------------------------
 
-    def blocks(self) -> Iterable[Block]:
+    def blocks(self) -> Iterator[Block]:
         """Read all blocks, recording by recording, in time order."""
-        return self.rows.blocks()
+        return iter(self.rows.blocks())
 
     def pilot(self) -> Sequence[Block]:
         """Enough blocks to learn the noise from: all of an ordinary recording, segments of a long one."""
@@ -208,7 +208,7 @@ class Regression:
             poles = low_pass.poles(float(np.median(np.diff(clock[: len(blocks[0].times)]))))
         return cls(
             base, (), (), channel, ("",) * channels, tuple(str(k) for k in labels),
-            RowCache(partial(list, blocks), samples, channels * (len(base.names) + 1), known_poles=poles),
+            RowCache(partial(iter, tuple(blocks)), samples, channels * (len(base.names) + 1), known_poles=poles),
             PriorKnowledge(bodies=tuple(tuple(b) for b in bodies)),
             instruments=None if beside is None else _GivenInstruments(blocks, beside[:, :, kept], noise).instruments(),
             regressor_noise=noise,

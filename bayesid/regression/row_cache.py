@@ -55,16 +55,16 @@ class Kept:
 
 
 class MotionRows:
-    """Blocks of rows by motion, kept as far as there is room: first of the motions that are ``fitted``."""
+    """Blocks of rows by motion, kept as far as there is room: for motions that are ``fitted``, and as much for others."""
 
     def __init__(self, row_model: RowModel, segments: Mapping[str, Sequence[Segment | LongSegment]], fitted: Sequence[str] = ()):
         self.row_model, self.segments, self._fitted = row_model, segments, fitted
         self._blocks: dict[str, Callable[[], Iterable[Block]]] = {}
-        room = 2 * CACHE_BYTES
-        for name in dict.fromkeys((*fitted, *segments)):
-            size = 8 * row_count(row_model, segments[name]) * row_width(row_model)
-            keep = size <= room
-            room -= size if keep else 0
+        room = {own: CACHE_BYTES for own in (True, False)}
+        for name in segments:
+            own, size = name in fitted, 8 * row_count(row_model, segments[name]) * row_width(row_model)
+            keep = size <= room[own]
+            room[own] -= size if keep else 0
             make = partial(make_blocks, row_model, segments[name], kept=keep)
             self._blocks[name] = Kept(make) if keep else make
 
@@ -123,7 +123,7 @@ class RowCache:
 
     def __reduce__(self):
         """A copy reads its rows anew."""
-        return RowCache, (self.blocks, self.count, self.width, self.make_pilot, self.known_poles, self.parts)
+        return RowCache, (self.blocks, self.count, self.width, self.make_pilot, self.known_poles, self.parts, self.given_pilot)
 
     @property
     def fits_in_memory(self) -> bool:

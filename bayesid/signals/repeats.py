@@ -11,6 +11,8 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.optimize import fminbound
 
+from bayesid.signals.runs import runs
+
 #: A repeat or a rest lasts this long [s] and a period this long [s], to tell low frequencies.
 _SHORTEST, _SHORTEST_PERIOD = 3.0, 1.5
 #: Positions repeat if no joint is off by more than this share of its range, nor by more than so many times the median.
@@ -125,14 +127,6 @@ def _same(
     if not np.any(np.ptp(part, axis=0) > _MOVES * np.maximum(span, 1e-12)):
         return None
     return exact, float(times[longest[0]]), float(times[longest[1] - 1])
-
-
-def runs(flags: np.ndarray, bridge: int = 0) -> list[tuple[int, int]]:
-    """First and one past the last index of every run of true flags (N,); gaps of up to ``bridge`` flags are closed."""
-    at = np.flatnonzero(flags)
-    cuts = np.flatnonzero(np.diff(at) > bridge + 1)
-    first, last = at[[0, *(cuts + 1)] if len(at) else []], at[[*cuts, -1] if len(at) else []]
-    return [(int(a), int(b) + 1) for a, b in zip(first, last, strict=True)]
 
 
 def find_rests(times: np.ndarray, encoders: np.ndarray, counts: np.ndarray) -> list[tuple[float, float]]:
