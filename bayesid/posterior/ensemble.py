@@ -166,8 +166,8 @@ class Ensemble:
         return state
 
     def restored(self, saved: Mapping[str, Any]) -> EnsembleState:
-        """The state that was saved as its fields."""
-        return EnsembleState(**saved)
+        """The state that was saved as its fields; an older version saved others, too."""
+        return EnsembleState(saved["points"], saved["log_density"], saved["random"])
 
     def advance(self, state: EnsembleState, count: int, thin: int) -> np.ndarray:
         """Draws (count, walkers, names) ``thin`` steps apart; the state moves on."""

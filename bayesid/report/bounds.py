@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from bayesid.arguments import argument, call
 from bayesid.design.bounds.bands import FAR, Band
 from bayesid.design.bounds.region import Region
-from bayesid.design.bounds.remainder import HALF, Remainder
+from bayesid.design.bounds.remainder import Remainder
 from bayesid.design.bounds.workspace import Workspace
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.figures import CLASSES, DENSE, GREY, PREDICTED, add_legend, make_grid, picked, styled, tidy_time
@@ -20,6 +20,7 @@ from bayesid.report.page import below, bullets, cards, figure, how, lead, note, 
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands, joints
 from bayesid.results.files import report_of
 from bayesid.results.text import channel_text, ends, number, percent, with_half
+from bayesid.rounding import HALF
 from bayesid.section import Part, ShownSection, ShownTable
 
 _BLUE = CLASSES["alone"]

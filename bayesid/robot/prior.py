@@ -35,7 +35,7 @@ class Prior:
         return f"<Prior of {len(self.bodies)} bodies{', which can exist only' if self.physical else ''}>"
 
     @classmethod
-    def nominal(cls, links: np.ndarray, rel_std: float) -> Prior:
+    def nominal(cls, links: np.ndarray, rel_std: float, *, physical: bool = True) -> Prior:
         """Bodies near nominal ones, by the constant pull-back metric [Lee2020]_.
 
         ``precision = 2 M / rel_std^2`` with M of `bayesid.robot.inertia.pullback_metric`: with ``P0 = L L'`` the nominal
@@ -49,6 +49,8 @@ class Prior:
             Nominal parameters, ten a body (b, 10) or (10 b,).
         rel_std
             Relative standard deviation, above 0.
+        physical
+            See the class.
 
         Raises
         ------
@@ -66,10 +68,10 @@ class Prior:
             part = slice(10 * k, 10 * k + 10)
             precision[part, part] = 2.0 / rel_std**2 * inertia.pullback_metric(body)
         bodies = tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(links)))
-        return cls(links.ravel(), precision, bodies)
+        return cls(links.ravel(), precision, bodies, physical)
 
     @classmethod
-    def warped(cls, links: np.ndarray, rel_std: float) -> Prior:
+    def warped(cls, links: np.ndarray, rel_std: float, *, physical: bool = True) -> Prior:
         """Bodies that are nominal ones scaled, shifted and warped.
 
         What a CAD model gets wrong is a body's mass, where its middle is and how it is spread, by a share of its
@@ -85,13 +87,15 @@ class Prior:
             Nominal parameters, ten a body (b, 10) or (10 b,).
         rel_std
             The share s, above 0; the relative standard deviation of every mass.
+        physical
+            See the class.
 
         Raises
         ------
         InputError
             ``rel_std`` is not a positive number, or the links are not ten a body.
         """
-        plain = cls.nominal(links, rel_std)
+        plain = cls.nominal(links, rel_std, physical=physical)
         precision = np.zeros_like(plain.precision)
         for body in plain.bodies:
             covariance = _warps(plain.mean[list(body)], rel_std)

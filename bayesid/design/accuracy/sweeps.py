@@ -68,7 +68,8 @@ class SweptFactor:
 def all_factors(bench: Bench) -> tuple[SweptFactor, ...]:
     """Every factor that such an experiment has."""
     makers = (_noise, _resolution, _encoder, _rate, _length, _filter, _bandwidth, _velocity, _offset)
-    factors = [make(bench, own_setting(bench)) for make in makers]
+    own = own_setting(bench)
+    factors = [make(bench, own) for make in makers]
     return tuple(f for f in factors if f.trials)
 
 
@@ -323,22 +324,22 @@ class LinearErrors:
     encoder: np.ndarray
     bias: np.ndarray  # without noise (p,)
 
-    def covariance(self, noise: float, all_of_it: float) -> np.ndarray:
+    def covariance(self, noise: float, every_std: float) -> np.ndarray:
         """For factors of the sensor noise's standard deviation, and of all standard deviations (p, p)."""
-        return all_of_it**2 * (noise**2 * self.sensor + self.encoder)
+        return every_std**2 * (noise**2 * self.sensor + self.encoder)
 
-    def std(self, noise: float, all_of_it: float) -> np.ndarray:
+    def std(self, noise: float, every_std: float) -> np.ndarray:
         """Of the base parameters (r,); nan where they are not determined."""
-        std = np.sqrt(np.diag(self.covariance(noise, all_of_it)))
+        std = np.sqrt(np.diag(self.covariance(noise, every_std)))
         return np.where(self.bench.estimate.undetermined, np.nan, std)[: self.bench.rank]
 
-    def rms(self, noise: float, all_of_it: float) -> np.ndarray:
+    def rms(self, noise: float, every_std: float) -> np.ndarray:
         """Root mean square errors of the base parameters (r,)."""
-        return np.hypot(self.std(noise, all_of_it), self.bias[: self.bench.rank])
+        return np.hypot(self.std(noise, every_std), self.bias[: self.bench.rank])
 
-    def predicted(self, noise: float, all_of_it: float) -> float:
+    def predicted(self, noise: float, every_std: float) -> float:
         """Root mean square error of predictions, a share of the signal."""
-        scatter = np.sum(self.covariance(noise, all_of_it) * self.bench.prediction_gram)
+        scatter = np.sum(self.covariance(noise, every_std) * self.bench.prediction_gram)
         return float(np.hypot(np.sqrt(max(scatter, 0.0)), prediction_error(self.bench, self.bias)))
 
 
@@ -388,16 +389,16 @@ def _level(trial: Trial, errors: Errors, own: Errors) -> Level:
 
 def _by_formula(trial: Trial, own: Level, linear: LinearErrors | None) -> Level:
     """A level whose covariance follows from that of the user's own setting."""
-    noise, all_of_it = trial.scale
+    noise, every_std = trial.scale
     if linear is None:  # repeats alone: the mean of independent errors, whatever the estimator
-        bias, bias_error, std, std_error = own.bias, own.bias_error, all_of_it * own.std, all_of_it * own.std_error
-        share, share_error, over = all_of_it * own.prediction, all_of_it * own.prediction_error, all_of_it
+        bias, bias_error, std, std_error = own.bias, own.bias_error, every_std * own.std, every_std * own.std_error
+        share, share_error, over = every_std * own.prediction, every_std * own.prediction_error, every_std
         rms, usual = np.hypot(std, bias), own.rms
     else:
-        bias, std, bias_error = linear.bias[: len(own.std)], linear.std(noise, all_of_it), np.zeros(len(own.std))
-        std_error, share, share_error = bias_error, linear.predicted(noise, all_of_it), 0.0
+        bias, std, bias_error = linear.bias[: len(own.std)], linear.std(noise, every_std), np.zeros(len(own.std))
+        std_error, share, share_error = bias_error, linear.predicted(noise, every_std), 0.0
         over = share / max(linear.predicted(1.0, 1.0), 1e-300)
-        rms, usual = linear.rms(noise, all_of_it), linear.rms(1.0, 1.0)
+        rms, usual = linear.rms(noise, every_std), linear.rms(1.0, 1.0)
     ratio = median_ratio(rms, usual)
     return Level(
         trial.label, trial.value, "formula", bias, std, rms, bias_error, std_error, share, share_error, over, ratio, ratio, ratio,

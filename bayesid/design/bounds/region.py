@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, norm
 
-from bayesid.estimators.estimator import LEVEL
 from bayesid.estimators.parameters import Parameters
 from bayesid.regression.linalg import or_one, standard_deviations
+from bayesid.rounding import LEVEL
 
 #: Draws of a normal law that quantiles without a closed form are taken from.
 NORMAL_DRAWS = 20_000

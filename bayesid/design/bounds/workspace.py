@@ -24,8 +24,8 @@ from scipy.stats import qmc
 
 from bayesid.design.bounds.model import ReadingModel
 from bayesid.design.bounds.region import quantile
-from bayesid.estimators.estimator import LEVEL
 from bayesid.robot.robot import Robot, motion_limits
+from bayesid.rounding import LEVEL
 
 #: Draws and configurations unless others are asked for.
 DRAWS, CONFIGURATIONS = 300, 512

@@ -173,10 +173,13 @@ def possible_range(base: np.ndarray, bodies: Sequence[Sequence[int]], bounds: Se
     return out
 
 
+#: ``tr(_DUAL[k] BASIS[l])`` is 1 where k = l, else 0 (10, 4, 4).
+_DUAL = np.tensordot(np.linalg.inv(np.einsum("kij,lij->kl", inertia.BASIS, inertia.BASIS)), inertia.BASIS, 1)
+
+
 def _form(coefficients: np.ndarray) -> np.ndarray:
     """A with ``tr(A P)`` the sum of a body's ten parameters times these coefficients."""
-    products = np.einsum("kij,lij->kl", inertia.BASIS, inertia.BASIS)
-    return np.tensordot(np.linalg.solve(products, coefficients), inertia.BASIS, 1)
+    return np.tensordot(coefficients, _DUAL, 1)
 
 
 #: Up to this prior relative standard deviation intervals of data and nominal model together cover as often as they say in
