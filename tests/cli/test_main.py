@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+import bayesid
 from bayesid.cli import main
 from bayesid.errors import BayesidError, InputError
 from bayesid.recordings import experiment
@@ -149,3 +150,14 @@ def test_refusals_come_before_the_work(folder, monkeypatch, capsys):
         assert main(["diagnose", str(folder), "--out", str(out)]) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1
     assert time.perf_counter() - since < 30 and (folder / "model.toml").read_text() == "[model]\n"
+
+
+@pytest.mark.parametrize("verb", ["bounds", "excite"])
+def test_a_default_folder_that_cannot_be_written_is_refused_before_the_work(verb, folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(bayesid, verb, lambda *_, **__: pytest.fail("the work had begun"))
+    name = bayesid.load_experiment(folder).name
+    (tmp_path / "bayesid-out").mkdir()
+    (tmp_path / "bayesid-out" / f"{name}-{verb}").write_text("")
+    assert main([verb, str(folder)]) == 2
+    assert "is a file; name a folder" in capsys.readouterr().err

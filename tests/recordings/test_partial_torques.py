@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -92,6 +93,8 @@ def test_it_is_told_once_and_first(arm: Experiment) -> None:
         # Without friction in the model a fit is of no use, which alone comes before it.
         certain = [w for w in result.warnings if "no usable model" not in w]
         assert certain[0] == finding.text and sum("tau2" in w for w in result.warnings) == 1
+    entries = [m.to_dict() for m in bayesid.check(partial).motions]
+    assert json.loads(json.dumps(entries, allow_nan=False)) == entries  # plain data, as they are written
 
 
 def test_it_goes_through_a_folder(arm: Experiment, tmp_path: Path) -> None:

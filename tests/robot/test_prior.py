@@ -34,3 +34,11 @@ def test_a_prior_needs_a_trust(links, bad):
     """Zero, negative and missing trusts are refused by name."""
     with pytest.raises(InputError, match="rel_std"):
         Prior.nominal(links[1], bad)
+
+
+@pytest.mark.parametrize("kind", [Prior.nominal, Prior.warped])
+def test_bodies_may_be_declared_not_to_be_possible_ones(links, kind):
+    """With the same mean and precision."""
+    plain, free = kind(links[1], 0.1), kind(links[1], 0.1, physical=False)
+    assert plain.physical and not free.physical
+    np.testing.assert_array_equal(free.precision, plain.precision)
