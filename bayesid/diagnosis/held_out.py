@@ -43,8 +43,19 @@ class HeldOutSums(Grams):
         """Over everything but each group (g, p, p)."""
         return np.stack([self.whole - self.blocks[self.groups == g].sum(axis=0) for g in range(self.groups.max() + 1)])
 
+    @cached_property
+    def _squares(self) -> dict[frozenset[int], np.ndarray]:
+        """What `squares` has found, by effects: the same are asked for again and again while effects are chosen."""
+        return {}
+
     def squares(self, effects: Sequence[int]) -> np.ndarray:
         """Squared prediction errors of every block with these effects, its group left out of the fit (b,)."""
+        key = frozenset(effects)
+        if key not in self._squares:
+            self._squares[key] = self._left_out(effects)
+        return self._squares[key]
+
+    def _left_out(self, effects: Sequence[int]) -> np.ndarray:
         left, _ = self.fitted(self._rest, effects)
         at = np.flatnonzero(left.any(axis=0))  # most columns are of effects that are not in the model
         mine = left[self.groups][:, at]
