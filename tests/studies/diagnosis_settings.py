@@ -3,13 +3,14 @@
     python -m tests.studies.diagnosis_settings --work DIR [--count 20] [--seed 77] [--jobs 1] [--only NAME,...] [--quick]
         [--docs DIR]
 
-Recordings come from the independent plant of case_studies/blind_naming. The diagnoses of a recording are kept in
-DIR/diagnoses.json as soon as all are made, and none is made twice: the run can be interrupted and taken up again. The page tells
-of the recordings that are finished. A threshold changes a diagnosis only where a comparison comes out differently; where none
-does, that one is not made again (`Compared`). What limits computing and is no threshold (`LIMITS`) is moved likewise once the
+Recordings come from the independent plant of case_studies/blind_naming, made in DIR. What came of a recording is kept in
+results.json beside the page as soon as all its diagnoses are made, and none is made twice, also not in another DIR on another
+day: a few minutes a recording and core. The page tells of the recordings that are finished. Results of other thresholds, or of
+others' values, are thrown away. A threshold changes a diagnosis only where a comparison comes out differently; where none does,
+that one is not made again (`Compared`). What limits computing and is no threshold (`LIMITS`) is moved likewise once the
 thresholds are done.
-``--quick`` takes two recordings and four thresholds, to see that the script works. Writes docs/studies/diagnosis-settings from
-what there is.
+``--quick`` takes two recordings and four thresholds, to see that the script works. That and ``--only`` write to DIR/docs, all
+else to docs/studies/diagnosis-settings, unless ``--docs`` says another folder.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ recordings with another verdict or other names than with the thresholds as they 
 function that uses it (`LIMITS` in the script). They are moved likewise once the thresholds are done.
 {% for part in parts %}
 
-{{ part.head }}, {{ part.cases }} recordings; as it stands {{ part.right }} of {{ part.cases }} are right.
+{{ part.head }}, {{ part.count }} recordings; as it stands {{ part.right }} of {{ part.count }} are right.
 
 | {{ part.what }} | value | right at -30 % | changed | right at +30 % | changed |
 | --- | ---: | ---: | ---: | ---: | ---: |
@@ -268,34 +269,30 @@ def answers(work: Path, count: int, seed: int, quick: bool) -> list[dict[str, An
     return [json.loads(path.read_text(encoding="utf-8")) for path in sorted((folder / "answers").glob("*.json"))]
 
 
-def table(made: dict[str, Any], names: list[str], every: list[dict[str, Any]]) -> dict[str, Any]:
-    """Of the recordings of which all diagnoses have been made: how many are right, and a row for each number moved."""
-    cases = [c for c in every if all(f"{c['case']} {name} {way:+d}" in made for name in names for way in (-1, 1))]
-    plain = {c["case"]: made[f"{c['case']} as it stands"] for c in cases}
-
-    def named(said: dict[str, Any]) -> tuple[str, list[tuple[str, str]]]:
-        return said["verdict"], sorted((e["name"], e["where"]) for e in said["effects"])
+def table(kept: dict[str, Any]) -> dict[str, Any]:
+    """Of the recordings that are finished: how many are right, and a row for each number moved."""
+    recordings = kept["recordings"].values()
 
     def side(name: str, way: int) -> dict[str, int]:
-        said = [made[f"{c['case']} {name} {way:+d}"] for c in cases]
+        said = [(r["right"], r["changed"].get(f"{name} {way:+d}")) for r in recordings]
         return {
-            "right": sum(is_right(c, x) for c, x in zip(cases, said, strict=True)),
-            "changed": sum(named(x) != named(plain[c["case"]]) for c, x in zip(cases, said, strict=True)),
+            "right": sum(plain if other is None else other for plain, other in said),
+            "changed": sum(other is not None for _, other in said),
         }
 
-    rows = [
-        {"name": n, "value": f"{limit(n) if n in LIMITS else getattr(DEFAULT, n):g}", "down": side(n, -1), "up": side(n, 1)}
-        for n in names
-    ]
-    return {"cases": len(cases), "right": sum(is_right(c, plain[c["case"]]) for c in cases), "rows": rows}
+    rows = [{"name": n, "value": f"{v:g}", "down": side(n, -1), "up": side(n, 1)} for n, v in kept["values"].items()]
+    return {"count": len(recordings), "right": sum(r["right"] for r in recordings), "rows": rows}
 
 
-def written(made: dict[str, Any], names: list[str], limits: list[str], cases: list[dict[str, Any]], docs: Path) -> None:
-    """The page, from the recordings of which everything has been made."""
-    heads = (("threshold", "Thresholds", names), ("limit", "Limits of computing", limits))
+def written(kept: dict[str, dict[str, Any]], docs: Path) -> None:
+    """Numbers and page, from the recordings that are finished."""
     docs.mkdir(parents=True, exist_ok=True)
-    parts = [table(made, own, cases) | {"what": what, "head": head} for what, head, own in heads if own]
-    write_page(PAGE, docs / "README.md", count=len(fields(DEFAULT)), limits=len(LIMITS), parts=[p for p in parts if p["cases"]])
+    part = docs / "results.part"
+    part.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+    part.replace(docs / "results.json")
+    heads = (("threshold", "Thresholds", "thresholds"), ("limit", "Limits of computing", "limits"))
+    parts = [table(kept[own]) | {"what": what, "head": head} for what, head, own in heads]
+    write_page(PAGE, docs / "README.md", count=len(fields(DEFAULT)), limits=len(LIMITS), parts=[p for p in parts if p["count"]])
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -307,48 +304,46 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--only", default="", help="thresholds to move, separated by commas; default all")
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--docs", type=Path, default=STUDIES / "diagnosis-settings")
+    parser.add_argument("--docs", type=Path)
     options = parser.parse_args(arguments)
-    names = [f.name for f in fields(DEFAULT)]
-    chosen = options.only.split(",") if options.only else list(QUICK) if options.quick else [*names, *LIMITS]
-    names, limits = [n for n in chosen if n in names], [n for n in chosen if n in LIMITS]
+    chosen = options.only.split(",") if options.only else list(QUICK) if options.quick else None
+    docs = options.docs or (STUDIES / "diagnosis-settings" if chosen is None else options.work / "docs")
     cases = answers(options.work, 2 if options.quick else options.count, options.seed, options.quick)
-    store = options.work / "diagnoses.json"
-    made = json.loads(store.read_text(encoding="utf-8")) if store.exists() else {}
-
-    def keep() -> None:
-        kept = store.with_suffix(".part")
-        kept.write_text(json.dumps(made, indent=1), encoding="utf-8")
-        kept.replace(store)
-        written(made, names, limits, cases, options.docs)
-
+    store = docs / "results.json"
+    found = json.loads(store.read_text(encoding="utf-8")) if store.exists() else {}
+    kept = {}
+    for part, numbers in (("thresholds", {f.name: getattr(DEFAULT, f.name) for f in fields(DEFAULT)}),
+                          ("limits", {name: limit(name) for name in LIMITS})):  # fmt: skip
+        values = {name: float(v) for name, v in numbers.items() if chosen is None or name in chosen}
+        own = found.get(part, {})
+        kept[part] = own if own.get("values") == values else {"values": values, "recordings": {}}
     fresh = multiprocessing.get_context("spawn")
-    for some in (names, limits):
+    for part in kept.values():
         with concurrent.futures.ProcessPoolExecutor(options.jobs, mp_context=fresh) as pool:
-            folder = options.work / "recordings"
-            open_ = [c for c in cases if not all(key in made for key in _keys(c["case"], some))]
-            runs = [pool.submit(of_recording, folder / c["case"], c["channel"], c["case"], some, made) for c in open_]
+            open_ = [c for c in cases if part["values"] and f"{options.seed}/{c['case']}" not in part["recordings"]]
+            runs = {pool.submit(of_recording, options.work / "recordings", c, list(part["values"])): c["case"] for c in open_}
             for run in tqdm(concurrent.futures.as_completed(runs), total=len(runs), mininterval=10.0):
-                made.update(run.result())
-                keep()
-    keep()
+                part["recordings"][f"{options.seed}/{runs[run]}"] = run.result()
+                written(kept, docs)
+    written(kept, docs)
 
 
-def _keys(case: str, some: Sequence[str]) -> dict[str, tuple[str, int]]:
-    """Of every number moved both ways: the name of its diagnosis."""
-    return {f"{case} {name} {way:+d}": (name, way) for name in some for way in (-1, 1)}
+def of_recording(folder: Path, case: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """Whether its diagnosis is right, and for each number and way that change what is named whether that is right then."""
+    plain = diagnosed(folder / case["case"], case["channel"], None, 0)
+    changed = {}
+    for name in names:
+        for way in (-1, 1):
+            if name in LIMITS or f"{name} {way:+d}" in plain["open"]:
+                said = diagnosed(folder / case["case"], case["channel"], name, way)
+                if named(said) != named(plain):
+                    changed[f"{name} {way:+d}"] = is_right(case, said)
+    return {"right": is_right(case, plain), "changed": changed}
 
 
-def of_recording(folder: Path, channel: str, case: str, some: Sequence[str], made: dict[str, Any]) -> dict[str, Any]:
-    """The diagnoses of one recording that have not been made."""
-    first = f"{case} as it stands"
-    plain = made.get(first) or diagnosed(folder, channel, None, 0)
-    alike = {name for name in some if name not in LIMITS}
-    return {first: plain} | {
-        key: plain if name in alike and f"{name} {way:+d}" not in plain["open"] else diagnosed(folder, channel, name, way)
-        for key, (name, way) in _keys(case, some).items()
-        if key not in made
-    }
+def named(said: dict[str, Any]) -> tuple[str, list[tuple[str, str]]]:
+    """Verdict and names."""
+    return said["verdict"], sorted((e["name"], e["where"]) for e in said["effects"])
 
 
 if __name__ == "__main__":
