@@ -18,7 +18,7 @@ from bayesid.diagnosis.contacts import contact_terms
 from bayesid.diagnosis.data import DiagnosisData, residual_rows, term_rows
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import NuisanceProjector, Span, orthonormal
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import Effect, ExternalContact, Linearisation, Surroundings, Term
 from bayesid.effects.surroundings import surroundings_of
 
@@ -36,12 +36,12 @@ class RippleScan:
         self.at = [(channel_of[e.joint], e.joint) for e in self.effects if e.joint is not None]
         self.spectra = [s.trajectory.basis.get(self._key(s), lambda s=s: self._waves(s)) for s in data.segments]
 
-    def _key(self, segment: Segment) -> tuple:
+    def _key(self, segment: SpectralSegment) -> tuple:
         """What the coefficients of one segment depend on, whatever its noise."""
         joints, times = tuple(joint for _, joint in self.at), segment.times
         return "waves", tuple(self.orders), joints, len(segment.frequencies), len(times), times[0], times[-1], segment.settings
 
-    def _waves(self, segment: Segment) -> np.ndarray:
+    def _waves(self, segment: SpectralSegment) -> np.ndarray:
         """Coefficients of the sines and cosines (K, joints, orders, 2)."""
         angle = segment.trajectory.positions[:, [j for _, j in self.at], None] * self.orders
         parts = [segment.course(np.cos(angle)), segment.course(np.sin(angle))]

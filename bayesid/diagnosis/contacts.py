@@ -9,7 +9,7 @@ import numpy as np
 from bayesid.diagnosis.data import Episode, term_rows
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import NuisanceProjector
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import Effect, ExternalContact, Term
 from bayesid.effects.loads import CONTACT_RAMP
 
@@ -17,7 +17,7 @@ from bayesid.effects.loads import CONTACT_RAMP
 DEAD = 1e-6
 
 
-def windows(segment: Segment) -> list[tuple[float, float]]:
+def windows(segment: SpectralSegment) -> list[tuple[float, float]]:
     """Windows tried in a segment, (start, end) [s]; starts are a quarter of their length apart."""
     first, last = segment.times[0], segment.times[-1]
     out = []

@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from bayesid.diagnosis.noise_spectrum import Spectrum
+from bayesid.diagnosis.noise_spectrum import NoiseSpectrum
 from bayesid.diagnosis.settings import DEFAULT, Settings
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.dynamics.channels import Channels
 from bayesid.effects import Effect, Term, columns, readings, rigid_columns
 from bayesid.effects.exact import effect_derivatives_at_joint
@@ -31,7 +31,7 @@ class Episode(Term):
     motion: str = ""  # in which; nothing is known of others
 
 
-def active_terms(segment: Segment, terms: Sequence[Term]) -> tuple[Term, ...]:
+def active_terms(segment: SpectralSegment, terms: Sequence[Term]) -> tuple[Term, ...]:
     """The effects that act in a segment."""
     return tuple(
         t for t in terms
@@ -48,8 +48,8 @@ class DiagnosisData:
     experiment: Experiment
     channel: str
     channels: Channels
-    segments: tuple[Segment, ...]  # of the identification motions, with their noise
-    unseen: tuple[Segment, ...]  # of the validation motions, with their noise
+    segments: tuple[SpectralSegment, ...]  # of the identification motions, with their noise
+    unseen: tuple[SpectralSegment, ...]  # of the validation motions, with their noise
     prior: Prior | None  # of the links; None where they are exact
     terms: tuple[Term, ...]  # effects of the user's model at their starting values
     #: Whether the noise was measured. Where readings were filtered before they were recorded it cannot be, and what the richest
@@ -58,7 +58,9 @@ class DiagnosisData:
     #: Where the noise of moving readings comes from: ``white noise above the band``, ``repeats``, ``parked``, ``stated`` or
     #: ``richest model``.
     floor_source: str = WHITE
-    spectrum: Spectrum | None = None  # the noise of moving readings where it was measured by frequency, on repeats or at rest
+    spectrum: NoiseSpectrum | None = (
+        None  # the noise of moving readings where it was measured by frequency, on repeats or at rest
+    )
     held: frozenset[str] = frozenset()  # effects of the user's model, ``name@where``, whose values are kept
     skipped: tuple[str, ...] = ()  # validation motions that cannot be compared
     settings: Settings = DEFAULT  # the thresholds
@@ -91,16 +93,18 @@ class DiagnosisData:
         """Everywhere that an effect can be."""
         return self.experiment.library.places(name, self.robot.joint_names, self.channels.names, self.experiment.gear_ratio)
 
-    def predict(self, segment: Segment, links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
+    def predict(self, segment: SpectralSegment, links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
         """Readings of a segment (M, c)."""
         return readings(self.robot, self.channels, segment.trajectory, links, active_terms(segment, terms))
 
-    def link_columns(self, segment: Segment, terms: Sequence[Term]) -> np.ndarray:
+    def link_columns(self, segment: SpectralSegment, terms: Sequence[Term]) -> np.ndarray:
         """Their derivatives with respect to the links, at the nominal ones (N, c, 10 b)."""
         return rigid_columns(self.robot, self.channels, segment.trajectory, self.links, active_terms(segment, terms))
 
 
-def residual_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, offset: np.ndarray, terms: Sequence[Term]):
+def residual_rows(
+    data: DiagnosisData, segments: Sequence[SpectralSegment], links: np.ndarray, offset: np.ndarray, terms: Sequence[Term]
+):
     """Whitened rows of what was measured less what is predicted (rows,)."""
     out = []
     for s in segments:
@@ -111,7 +115,7 @@ def residual_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.nd
 
 
 def term_rows(
-    data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, terms: Sequence[Term], term: Term
+    data: DiagnosisData, segments: Sequence[SpectralSegment], links: np.ndarray, terms: Sequence[Term], term: Term
 ) -> np.ndarray:
     """Whitened derivatives of the readings with respect to a term's parameters beside other terms (rows, k)."""
     parts = []
@@ -123,7 +127,9 @@ def term_rows(
     return np.vstack(parts)
 
 
-def _white_columns(data: DiagnosisData, segment: Segment, links: np.ndarray, terms: tuple[Term, ...], term: Term) -> np.ndarray:
+def _white_columns(
+    data: DiagnosisData, segment: SpectralSegment, links: np.ndarray, terms: tuple[Term, ...], term: Term
+) -> np.ndarray:
     """Rows of one segment (rows, k); those of what the joint's motion alone says are transformed once."""
     effect, channels = term.effect, {joint: channel for channel, joint in segment.torque_channels}
     if needs_no_load(effect) and effect.joint in channels:
@@ -144,7 +150,7 @@ def _white_columns(data: DiagnosisData, segment: Segment, links: np.ndarray, ter
     return segment.white(found)
 
 
-def model_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
+def model_rows(data: DiagnosisData, segments: Sequence[SpectralSegment], links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
     """Whitened derivatives with respect to all free parameters of a model's effects (rows, k)."""
     parts = [np.zeros((sum(s.shape[0] * s.shape[1] for s in segments), 0))]
     parts += [

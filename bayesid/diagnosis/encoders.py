@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.diagnosis.settings import Settings
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.signals.smoothing import smooth
 
 #: Repetitions of the encoders' rounding: a standard deviation to 20 %, and to 6 % once neighbouring frequencies are pooled.
@@ -18,14 +18,14 @@ _CHANCE = float(np.log(5.0))
 
 
 def with_noise(
-    segment: Segment,
-    predict: Callable[[Segment], np.ndarray],
-    resmooth: Callable[[Segment, np.ndarray], Segment],
+    segment: SpectralSegment,
+    predict: Callable[[SpectralSegment], np.ndarray],
+    resmooth: Callable[[SpectralSegment, np.ndarray], SpectralSegment],
     sensor: np.ndarray,
     resolution: np.ndarray,
     position_std: np.ndarray,
     rng: np.random.Generator,
-) -> Segment:
+) -> SpectralSegment:
     """The segment with the covariance of its coefficients: the sensor's noise, and what encoder errors make of predictions.
 
     ``predict`` gives readings of a segment (N, c), ``resmooth`` the segment with other encoder readings (N, n). ``sensor`` is
@@ -95,17 +95,17 @@ class Encoders:
     """What their errors do to predictions."""
 
     #: Readings predicted for a segment (M, c); the segment with other encoder readings (N, n).
-    predict: Callable[[Segment], np.ndarray]
-    resmooth: Callable[[Segment, np.ndarray], Segment]
+    predict: Callable[[SpectralSegment], np.ndarray]
+    resmooth: Callable[[SpectralSegment, np.ndarray], SpectralSegment]
     #: One encoder count and random noise on top, by joint (n,) [rad or m].
     resolution: np.ndarray
     position_std: np.ndarray
     seed: int  # of the roundings
 
-    def roundings(self, segments: Sequence[Segment], wanted: set[int]) -> dict[int, list[Segment]]:
+    def roundings(self, segments: Sequence[SpectralSegment], wanted: set[int]) -> dict[int, list[SpectralSegment]]:
         """Segments as other roundings would have shown them; an encoder's zero is the same in all."""
         rng = np.random.default_rng([self.seed, 1])
-        out: dict[int, list[Segment]] = {i: [] for i in sorted(wanted)}
+        out: dict[int, list[SpectralSegment]] = {i: [] for i in sorted(wanted)}
         if not (self.resolution.any() or self.position_std.any()):
             return out
         exact = {i: smooth(s.times, s.encoders, s.trajectory.bandwidth)[0] for i, s in enumerate(segments) if i in wanted}

@@ -22,10 +22,10 @@ from scipy.fft import idct
 from bayesid.diagnosis.data import DiagnosisData, model_rows, residual_rows, term_rows
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.grams import Grams, squared
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.diagnosis.validation import residual_spectra, without_offset
 from bayesid.effects import Term
-from bayesid.estimators.dispersion import STRETCHES, Rows, dispersions
+from bayesid.estimators.dispersion import PARTS, Rows, dispersions
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class HeldOutSums(Grams):
 
     #: (b, p, p), every channel in units of what the user's model leaves of it: for shares, in which all channels count alike.
     shown: np.ndarray = field(kw_only=True)
-    groups: np.ndarray = field(kw_only=True)  # which blocks are left out together (b,): a motion, or a stretch of the only one
+    groups: np.ndarray = field(kw_only=True)  # which blocks are left out together (b,): a motion, or a part of the only one
     counts: np.ndarray = field(kw_only=True)  # rows of each block (b,)
     unseen: np.ndarray = field(kw_only=True)  # whether a block is of a validation motion (b,)
 
@@ -73,7 +73,7 @@ def left_by(data: DiagnosisData, model: Fit) -> np.ndarray:
 def scaled(data: DiagnosisData, square: np.ndarray) -> DiagnosisData:
     """The data with white noise of these mean squares (c,) in all channels."""
 
-    def alike(segments: Sequence[Segment]) -> tuple[Segment, ...]:
+    def alike(segments: Sequence[SpectralSegment]) -> tuple[SpectralSegment, ...]:
         return tuple(s.with_noise(np.tile(np.diag(square), (len(s.covariance), 1, 1))) for s in segments)
 
     return replace(data, segments=alike(data.segments), unseen=alike(data.unseen))
@@ -91,10 +91,10 @@ def held_out_sums(
     blocks, shown, names, counts = [], [], [], []
     for motion in dict.fromkeys(s.motion for s in segments):  # the columns of one motion at a time
         mine = [s for s in segments if s.motion == motion]
-        for stretch, part, count in _by_blocks(data, mine, _columns(data, mine, root, best, candidates)):
-            blocks.append(squared(part))
-            shown.append(squared(part * weight[:, None]))
-            names.append((motion, stretch))
+        for part, course, count in _by_blocks(data, mine, _columns(data, mine, root, best, candidates)):
+            blocks.append(squared(course))
+            shown.append(squared(course * weight[:, None]))
+            names.append((motion, part))
             counts.append(count)
     order, fitted = list(dict.fromkeys(names)), {s.motion for s in data.segments}
     owners = [i for i, t in enumerate(best.terms) if not data.fixed(t) for _ in t.values]
@@ -112,7 +112,7 @@ def held_out_sums(
 
 
 def _columns(
-    data: DiagnosisData, segments: Sequence[Segment], root: np.ndarray, best: Fit, candidates: Sequence[Term]
+    data: DiagnosisData, segments: Sequence[SpectralSegment], root: np.ndarray, best: Fit, candidates: Sequence[Term]
 ) -> np.ndarray:
     """All columns of some segments (rows, p)."""
     residual = residual_rows(data, segments, best.links, best.offset, best.terms)
@@ -129,8 +129,10 @@ def _columns(
     return without_offset(data, segments, np.hstack([*parts, residual[:, None]]))
 
 
-def _by_blocks(data: DiagnosisData, segments: Sequence[Segment], columns: np.ndarray) -> Iterator[tuple[int, np.ndarray, float]]:
-    """Stretch, course in time (k, c, p) and number of rows of every block of time."""
+def _by_blocks(
+    data: DiagnosisData, segments: Sequence[SpectralSegment], columns: np.ndarray
+) -> Iterator[tuple[int, np.ndarray, float]]:
+    """Part of the motion, course in time (k, c, p) and number of rows of every block of time."""
     alone = {s.motion for s in data.segments} == {segments[0].motion}
     row = 0
     for s in segments:
@@ -139,7 +141,7 @@ def _by_blocks(data: DiagnosisData, segments: Sequence[Segment], columns: np.nda
         row += size
         count = int(np.clip((s.times[-1] - s.times[0]) / data.settings.window, 1, len(course)))
         for k, part in enumerate(np.array_split(course, count)):
-            yield k * STRETCHES // count if alone and not s.still else 0, part, float(len(part) * s.alive.sum())
+            yield k * PARTS // count if alone and not s.still else 0, part, float(len(part) * s.alive.sum())
 
 
 def _correlation(sums: HeldOutSums, groups: Sequence[int], effects: int) -> float:

@@ -17,7 +17,7 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.stats import chi2, norm
 
 from bayesid.diagnosis.settings import Settings
-from bayesid.diagnosis.spectra import Segment, sensor_noise
+from bayesid.diagnosis.spectra import SpectralSegment, sensor_noise
 from bayesid.effects import REST_SPEED
 from bayesid.signals.runs import runs
 
@@ -42,7 +42,7 @@ class Event:
     tap: bool  # whether it is over within `Settings.moment` and its band is broad
 
 
-def short_events(segments: Sequence[Segment], level: float) -> tuple[tuple[Event, ...], ...]:
+def short_events(segments: Sequence[SpectralSegment], level: float) -> tuple[tuple[Event, ...], ...]:
     """Events of each segment; none of a static run, whose samples may be means over long times.
 
     ``level`` is the probability of a false alarm over all of them.
@@ -55,18 +55,18 @@ def short_events(segments: Sequence[Segment], level: float) -> tuple[tuple[Event
     return tuple(_events(s, quiet, looked, level) if s in moving else () for s in segments)
 
 
-def _band(segment: Segment) -> tuple[float, float] | None:
+def _band(segment: SpectralSegment) -> tuple[float, float] | None:
     """From the compared band to half the sampling rate [Hz], if that is as wide again."""
     low, high = float(segment.frequencies[-1] + segment.frequencies[min(1, len(segment.frequencies) - 1)]), 0.5 / segment.step
     return (low, high) if high > 2.0 * low else None
 
 
-def _edges(segment: Segment) -> np.ndarray:
+def _edges(segment: SpectralSegment) -> np.ndarray:
     length = max(round(0.5 * segment.settings.moment / segment.step), _SAMPLES)
     return np.linspace(0, len(segment.times), max(len(segment.times) // length, 1) + 1).astype(int)
 
 
-def _events(segment: Segment, quiet: np.ndarray, looked: int, level: float) -> tuple[Event, ...]:
+def _events(segment: SpectralSegment, quiet: np.ndarray, looked: int, level: float) -> tuple[Event, ...]:
     band, edges, settings = _band(segment), _edges(segment), segment.settings
     if band is None or len(edges) <= settings.enough:
         return ()
@@ -97,12 +97,12 @@ def _events(segment: Segment, quiet: np.ndarray, looked: int, level: float) -> t
     return tuple(out)
 
 
-def _high(segment: Segment, low: float) -> np.ndarray:
+def _high(segment: SpectralSegment, low: float) -> np.ndarray:
     """Readings above a frequency (N, c)."""
     return np.asarray(sosfiltfilt(butter(_ORDER, low, "high", output="sos", fs=1.0 / segment.step), segment.readings, axis=0))
 
 
-def _inside(segment: Segment, edges: np.ndarray) -> np.ndarray:
+def _inside(segment: SpectralSegment, edges: np.ndarray) -> np.ndarray:
     """Windows that a filter's start and end do not reach (w,)."""
     first, last = segment.times[edges[:-1]], segment.times[edges[1:] - 1]
     return (first > segment.times[0] + segment.settings.ramp) & (last < segment.times[-1] - segment.settings.ramp)
@@ -131,7 +131,7 @@ def unlikely(ratio: np.ndarray, freedom: np.ndarray | float, settings: Settings)
     return norm.sf((log - middle) * norm.ppf(0.9) / np.maximum(upper - middle, least))
 
 
-def kicks(segment: Segment) -> np.ndarray:
+def kicks(segment: SpectralSegment) -> np.ndarray:
     """Samples at which friction may kick the arm (N,): a joint reverses, starts or stops, or rests and may creep and slip."""
     trajectory, settings = segment.trajectory, segment.settings
     step = float(np.median(np.diff(trajectory.times)))

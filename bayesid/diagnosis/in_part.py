@@ -119,7 +119,7 @@ class InPart:
     #: Mean squares on recordings held out in turn: of the user's model, with one effect more each, and of the noise, every
     #: channel in units of what the user's model leaves of it on the fitted motions; zero for a noise that is not known.
     courses: tuple[float, ...]
-    stretches: int  # how many parts were held out in turn
+    held_out_parts: int  # how many parts of the recordings were held out in turn
     correlation: float  # how many rows count as one
     near: frozenset[str]  # effects that are named, their rivals, and those that would add anything to them, ``name@place``
     #: What they close in the channels that they act in, where they close too little of the whole gap.

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.impulse_events import Event, short_events, unlikely
 from bayesid.diagnosis.settings import Settings
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.signals.runs import runs
 
 #: Bands told apart [Hz].
@@ -63,7 +63,7 @@ class Disagreement:
 
 
 def locate(
-    data: DiagnosisData, segments: Sequence[Segment], white: Sequence[np.ndarray], dispersion: float
+    data: DiagnosisData, segments: Sequence[SpectralSegment], white: Sequence[np.ndarray], dispersion: float
 ) -> tuple[Disagreement, ...]:
     """Channels and times with more residual than noise explains, and short events of all motions.
 
@@ -114,7 +114,7 @@ def _events(data: DiagnosisData) -> list[Disagreement]:
     return sorted(found, key=_strength)[:LISTED]
 
 
-def _event(data: DiagnosisData, segment: Segment, event: Event, *, unseen: bool) -> Disagreement:
+def _event(data: DiagnosisData, segment: SpectralSegment, event: Event, *, unseen: bool) -> Disagreement:
     band = (float(np.round(event.band[0], 3)), float(np.round(event.band[1], 3)))
     return Disagreement(
         data.channels.names[event.channel], segment.motion, event.start, event.end, band, None, event.ratio, event.p_value,
@@ -130,13 +130,13 @@ def _placed(long: np.ndarray, short: np.ndarray, excess: np.ndarray, settings: S
     return kept | np.repeat(long & (inside < settings.nearly_all * excess.reshape(-1, parts).sum(axis=1)), parts)
 
 
-def places_looked_at(segments: Sequence[Segment]) -> int:
+def places_looked_at(segments: Sequence[SpectralSegment]) -> int:
     """Windows of all channels, and their parts."""
     return sum((1 + _PARTS) * _windows(s) * s.shape[1] for s in segments)
 
 
 def by_window(
-    segment: Segment, white: np.ndarray, dispersion: float, looked: int, parts: int = 1
+    segment: SpectralSegment, white: np.ndarray, dispersion: float, looked: int, parts: int = 1
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Energy of whitened coefficients (K, c) by windows of one second, each divided into ``parts``.
 
@@ -157,7 +157,7 @@ def _edges(samples: int, count: int, parts: int) -> np.ndarray:
     return np.arange(count * parts + 1) * samples // (count * parts)
 
 
-def by_band(segment: Segment, white: np.ndarray) -> np.ndarray:
+def by_band(segment: SpectralSegment, white: np.ndarray) -> np.ndarray:
     """Root mean square of whitened coefficients in each of `BANDS` (b, c); nan where there are none."""
     out = np.full((len(BANDS), white.shape[1]), np.nan)
     for k, (low, high) in enumerate(BANDS):
@@ -167,11 +167,11 @@ def by_band(segment: Segment, white: np.ndarray) -> np.ndarray:
     return out
 
 
-def _windows(segment: Segment) -> int:
+def _windows(segment: SpectralSegment) -> int:
     return max(int((segment.times[-1] - segment.times[0]) / segment.settings.window), 1)
 
 
-def _strongest_band(segment: Segment, course: np.ndarray, span: slice) -> tuple[float, float]:
+def _strongest_band(segment: SpectralSegment, course: np.ndarray, span: slice) -> tuple[float, float]:
     """The band with the largest root mean square of a whitened residual (m,) in a part of a recording."""
     alone = np.zeros((len(segment.times), 1))
     alone[span, 0] = course
@@ -179,7 +179,7 @@ def _strongest_band(segment: Segment, course: np.ndarray, span: slice) -> tuple[
     return BANDS[int(np.argmax(np.nan_to_num(by_band(segment, coefficients)[:, 0])))]
 
 
-def _joint(data: DiagnosisData, segment: Segment, residual: np.ndarray, span: slice) -> str | None:
+def _joint(data: DiagnosisData, segment: SpectralSegment, residual: np.ndarray, span: slice) -> str | None:
     """The joint whose motion explains most of a residual by a few smooth functions of it, if that is half."""
     if len(residual) < 20:
         return None

@@ -11,7 +11,7 @@ from scipy.stats import f as f_ratio
 from bayesid.diagnosis.data import WHITE, DiagnosisData
 from bayesid.diagnosis.encoders import Encoders, encoder_count, with_noise
 from bayesid.diagnosis.noise_spectrum import measure
-from bayesid.diagnosis.spectra import Segment, low_passed, sensor_noise
+from bayesid.diagnosis.spectra import SpectralSegment, low_passed, sensor_noise
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.effects import MotionSegment, Term, columns
 from bayesid.effects.loads import Tether
@@ -32,7 +32,7 @@ def at_instants(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], s
     To friction that reverses it makes a difference: one sample near the reversal is all of it or half of it.
     """
 
-    def points(segments: Sequence[Segment]) -> tuple[Segment, ...]:
+    def points(segments: Sequence[SpectralSegment]) -> tuple[SpectralSegment, ...]:
         out = []
         for s in segments:
             if not s.still:
@@ -64,10 +64,10 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
     if data.experiment.position_std is not None:
         random = np.full(data.robot.n, data.experiment.position_std)
 
-    def predict(segment: Segment) -> np.ndarray:
+    def predict(segment: SpectralSegment) -> np.ndarray:
         return data.predict(segment, links, terms)
 
-    def resmooth(segment: Segment, read: np.ndarray) -> Segment:
+    def resmooth(segment: SpectralSegment, read: np.ndarray) -> SpectralSegment:
         old = segment.trajectory
         at = old.times, old.bandwidth, segment.still, old.middle_positions, old.clear, old.cell
         trajectory = smoothed(segment.times, read, *at)
@@ -83,7 +83,7 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
         # A filter moves noise into the band: there is no less of it there than of one sample's.
         sensor[False], source = np.maximum(sensor[False], stated_noise), "stated"
 
-    def noisy(segments: Sequence[Segment]) -> tuple[Segment, ...]:
+    def noisy(segments: Sequence[SpectralSegment]) -> tuple[SpectralSegment, ...]:
         out = []
         for s in segments:
             noise = spectrum.of(s.motion).at(s.frequencies, sensor[False]) if spectrum and not s.still else sensor[s.still]
@@ -94,7 +94,7 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
     return replace(data, segments=fitted, unseen=unseen, floor_known=known, floor_source=source, spectrum=spectrum)
 
 
-def _encoder_counts(data: DiagnosisData, segments: Sequence[Segment]) -> np.ndarray:
+def _encoder_counts(data: DiagnosisData, segments: Sequence[SpectralSegment]) -> np.ndarray:
     """One count of each encoder (n,) [rad or m], as stated or as its readings show."""
     stated = data.experiment.position_resolution
     counts = [[encoder_count(column, data.settings) for column in s.encoders.T] for s in segments]
@@ -106,7 +106,7 @@ def _poses_with_noise(data: DiagnosisData, links: np.ndarray, terms: Sequence[Te
     noise, count = pose_noise(data), _encoder_counts(data, [*data.segments, *data.unseen])
     random = np.full(data.robot.n, data.experiment.position_std or 0.0)
 
-    def noisy(segments: Sequence[Segment]) -> tuple[Segment, ...]:
+    def noisy(segments: Sequence[SpectralSegment]) -> tuple[SpectralSegment, ...]:
         return tuple(
             with_noise(
                 s, lambda segment: data.predict(segment, links, terms),
@@ -185,14 +185,14 @@ def _cable_noise(rigid: np.ndarray, pulls: np.ndarray, read: np.ndarray) -> tupl
     """
     offset = np.tile(np.eye(3), (len(read), 1, 1))
     force = np.concatenate([rigid[:, :3], offset, pulls[:, :3]], axis=2).reshape(3 * len(read), -1)
-    told = np.linalg.lstsq(force, read[:, :3].ravel(), rcond=1e-9)[0][-pulls.shape[2] :]
-    pull = pulls @ told  # (N, 6), at the link's origin
+    found = np.linalg.lstsq(force, read[:, :3].ravel(), rcond=1e-9)[0][-pulls.shape[2] :]
+    pull = pulls @ found  # (N, 6), at the link's origin
     arm = np.cross(np.eye(3), pull[:, None, :3]).transpose(0, 2, 1)  # (N, 3, 3): moment of the pull a metre along each axis
     less = read - np.concatenate([0.0 * pull[:, :3], pull[:, 3:]], axis=1)
     return _halves((rigid, pulls[:, :3], read), (rigid, arm, less))
 
 
-def _pulls(data: DiagnosisData, segments: Sequence[Segment]) -> np.ndarray:
+def _pulls(data: DiagnosisData, segments: Sequence[SpectralSegment]) -> np.ndarray:
     """Readings of a cable without length at the one body that a sensor in the arm carries, by stiffness and pull (N, c, 4)."""
     carried = np.flatnonzero(data.robot.sensor_bodies)
     if data.robot.sensor_parent < 0 or len(carried) > 1:

@@ -17,7 +17,7 @@ from bayesid.diagnosis.data import WHITE, DiagnosisData
 from bayesid.diagnosis.fit import SWEEPS, Fit, fit
 from bayesid.diagnosis.noise import at_instants, with_noise_of
 from bayesid.diagnosis.projector import NuisanceProjector, make_projector
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import Term
 
 #: Terms that make much more of encoders' errors, and how soft they are.
@@ -142,7 +142,7 @@ def with_floor_of(library: Library, best: Fit) -> DiagnosisData:
         np.add.at(count, part, 1.0)
     ratio = np.maximum(share * energy / np.maximum(count, 1.0), 1.0)
 
-    def louder(segments: Sequence[Segment]) -> tuple[Segment, ...]:
+    def louder(segments: Sequence[SpectralSegment]) -> tuple[SpectralSegment, ...]:
         out = []
         for s in segments:
             root = np.linalg.inv(s.whitener) * np.sqrt(ratio[np.searchsorted(_EDGES, s.frequencies, side="right") - 1])[:, None]

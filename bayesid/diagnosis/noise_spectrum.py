@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 
 from bayesid.diagnosis.encoders import Encoders
 from bayesid.diagnosis.settings import Settings
-from bayesid.diagnosis.spectra import Segment, taper
+from bayesid.diagnosis.spectra import SpectralSegment, taper
 from bayesid.signals.repeats import RATE, Course, Repeat, find_repeats
 
 #: Of a power less the encoders' share no less than this is left: a difference of two estimates may be negative.
@@ -57,7 +57,7 @@ class Piece:
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
+class NoiseSpectrum:
     """Noise of the readings by frequency."""
 
     frequencies: np.ndarray  # centres of bands (B,) [Hz]
@@ -67,9 +67,9 @@ class Spectrum:
     lowest: float  # frequency from which on it was measured [Hz]; below, the lowest band's is taken
     source: str = ""  # ``repeats`` or ``parked``
     #: Of motions that repeat themselves, by name: how far readings repeat may differ from motion to motion.
-    own: Mapping[str, Spectrum] = field(default_factory=dict)
+    own: Mapping[str, NoiseSpectrum] = field(default_factory=dict)
 
-    def of(self, motion: str) -> Spectrum:
+    def of(self, motion: str) -> NoiseSpectrum:
         """A motion's own, or else that of all."""
         return self.own.get(motion, self)
 
@@ -87,7 +87,7 @@ class Spectrum:
         return out[:, :, None] * between * out[:, None, :]
 
 
-def course(segment: Segment) -> Course:
+def course(segment: SpectralSegment) -> Course:
     """Its positions on an even grid (M,), (M, n)."""
     times = np.arange(segment.times[0], segment.times[-1], 1.0 / RATE)
     inner = np.clip(times, segment.trajectory.times[0], segment.trajectory.times[-1])
@@ -95,10 +95,10 @@ def course(segment: Segment) -> Course:
 
 
 def repeat_pieces(
-    segments: Sequence[Segment],
+    segments: Sequence[SpectralSegment],
     repeats: Sequence[Repeat],
-    predict: Callable[[Segment], np.ndarray],
-    roundings: Mapping[int, Sequence[Segment]],
+    predict: Callable[[SpectralSegment], np.ndarray],
+    roundings: Mapping[int, Sequence[SpectralSegment]],
 ) -> list[Piece]:
     """Differences between repeats.
 
@@ -128,7 +128,7 @@ def repeat_pieces(
     return out
 
 
-def _left(segment: Segment, predicted: np.ndarray, times: np.ndarray) -> np.ndarray:
+def _left(segment: SpectralSegment, predicted: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Readings less predicted ones at any times within a segment (k, c)."""
     own = segment.readings - CubicSpline(segment.trajectory.times, predicted)(segment.times)
     return CubicSpline(segment.times, own)(times)
@@ -153,7 +153,7 @@ def _detrended(times: np.ndarray, values: np.ndarray) -> np.ndarray:
     return values - line @ np.linalg.lstsq(line, values, rcond=None)[0]
 
 
-def measured_spectrum(pieces: Sequence[Piece]) -> Spectrum | None:
+def measured_spectrum(pieces: Sequence[Piece]) -> NoiseSpectrum | None:
     """The spectrum of noise pooled over pieces, in bands of enough degrees of freedom; None if there are not enough."""
     parts = []
     for p in pieces:
@@ -187,7 +187,7 @@ def measured_spectrum(pieces: Sequence[Piece]) -> Spectrum | None:
     correlation = rest / (size[:, :, None] * size[:, None, :])
     near = [slice(max(b - 1, 0), b + 2) for b in range(len(weight))]
     sound = [_sound(np.average(correlation[n], axis=0, weights=weight[n]), float(weight[n].sum())) for n in near]
-    return Spectrum(centre, std, np.stack(sound), weight, float(frequency[0]))
+    return NoiseSpectrum(centre, std, np.stack(sound), weight, float(frequency[0]))
 
 
 def _less(total: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -250,7 +250,7 @@ def coloured(pieces: Sequence[Piece], white: np.ndarray, channels: Sequence[int]
     return bool(np.any(np.median(np.concatenate(ratios), axis=0)[list(channels)] > pieces[0].settings.coloured_ratio))
 
 
-def _own(segments: Sequence[Segment], repeats: Sequence[Repeat], pieces: Sequence[Piece]) -> dict[str, Spectrum]:
+def _own(segments: Sequence[SpectralSegment], repeats: Sequence[Repeat], pieces: Sequence[Piece]) -> dict[str, NoiseSpectrum]:
     """Spectra of motions that repeat themselves often enough."""
     mine: dict[str, list[Piece]] = {}
     for r, piece in zip(repeats, pieces, strict=True):
@@ -262,12 +262,12 @@ def _own(segments: Sequence[Segment], repeats: Sequence[Repeat], pieces: Sequenc
 
 
 def measure(
-    segments: Sequence[Segment],
+    segments: Sequence[SpectralSegment],
     rests: Sequence[tuple[np.ndarray, np.ndarray]],
     white: np.ndarray,
     filtered: bool,
     encoders: Encoders,
-) -> Spectrum | None:
+) -> NoiseSpectrum | None:
     """The noise of moving recordings by frequency, where they allow it.
 
     Where noise above the band is no guide, for readings were ``filtered`` before they were recorded, repeats are preferred, for
@@ -281,10 +281,10 @@ def measure(
     channels = range(len(white))
     # A drive at rest holds with friction whatever it takes, and that may wander: no reason to distrust white noise.
     torques = {c for s in segments for c, _ in s.torque_channels}
-    standing = [rest_piece(*r, segments[0].trajectory.bandwidth, settings) for r in rests]
+    at_rest = [rest_piece(*r, segments[0].trajectory.bandwidth, settings) for r in rests]
     sources = [
         ("repeats", repeat_pieces(segments, repeats, encoders.predict, roundings), channels),
-        ("parked", standing, [c for c in channels if c not in torques]),
+        ("parked", at_rest, [c for c in channels if c not in torques]),
     ]
     for source, pieces, judged in sources:
         spectrum = measured_spectrum(pieces)

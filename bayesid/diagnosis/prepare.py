@@ -11,7 +11,7 @@ from bayesid.arguments import argument
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.noise import smoothed, with_noise_of
 from bayesid.diagnosis.settings import DEFAULT, Settings
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import MotionSegment, Term, middle_of, starting_point
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
@@ -134,7 +134,7 @@ def _segments(
     middle: np.ndarray,
     clear: float,
     settings: Settings,
-) -> list[Segment]:
+) -> list[SpectralSegment]:
     """Gap-free recordings of a motion and of its static run."""
     if motion.kind == "poses":
         return _poses(experiment, motion, channel, middle, settings)
@@ -161,14 +161,14 @@ def _segments(
             joints = () if channel == "wrench" else experiment.torque_joints
             torques = tuple((read.shape[1] - len(joints) + k, j) for k, j in enumerate(joints))
             out.append(
-                Segment(
+                SpectralSegment(
                     motion.name, motion.role, times, positions, read, trajectory, still, torques, np.zeros(0), settings=settings
                 )
             )
     return out
 
 
-def _poses(experiment: Experiment, motion: Motion, channel: str, middle: np.ndarray, settings: Settings) -> list[Segment]:
+def _poses(experiment: Experiment, motion: Motion, channel: str, middle: np.ndarray, settings: Settings) -> list[SpectralSegment]:
     """Poses as recorded, one after the other at even times: cosines of their order are as good as any basis."""
     table = motion.table
     times, still = np.arange(len(table), dtype=float), np.zeros_like(table.positions)
@@ -176,7 +176,11 @@ def _poses(experiment: Experiment, motion: Motion, channel: str, middle: np.ndar
         return []
     trajectory = MotionSegment(table.times, table.positions, still, still, True, np.inf, middle, in_turn=True)
     read = readings_of(experiment, table, channel)
-    return [Segment(motion.name, motion.role, times, table.positions, read, trajectory, True, (), np.zeros(0), settings=settings)]
+    return [
+        SpectralSegment(
+            motion.name, motion.role, times, table.positions, read, trajectory, True, (), np.zeros(0), settings=settings
+        )
+    ]
 
 
 def _fast_count(count: int) -> int:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.diagnosis.data import DiagnosisData, residual_rows
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import Term
 from bayesid.effects.families import comes_on_top
 
@@ -104,7 +104,7 @@ def make_projector(data: DiagnosisData, terms: Sequence[Term]) -> NuisanceProjec
     return NuisanceProjector(data, root, offset, q, r, sum(s.count for s in data.segments), volume, rigid)
 
 
-def offset_columns(segment: Segment) -> np.ndarray:
+def offset_columns(segment: SpectralSegment) -> np.ndarray:
     """Whitened columns of a constant in every channel (rows, c)."""
     channels = segment.readings.shape[1]
     ones = np.broadcast_to(np.eye(channels), (len(segment.readings), channels, channels))

@@ -26,7 +26,7 @@ from scipy.fft import idct
 from bayesid.diagnosis.data import DiagnosisData, Episode, active_terms
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.noise import with_noise_of
-from bayesid.diagnosis.spectra import Segment, taper
+from bayesid.diagnosis.spectra import SpectralSegment, taper
 from bayesid.effects import Effect, ExternalContact, MotionSegment, columns
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.table import Table
@@ -76,7 +76,7 @@ class _Moments:
     data: DiagnosisData
     fit: Fit
     #: The recordings, those that were fitted first, and where the moments of each begin and end (s + 1,).
-    segments: tuple[Segment, ...]
+    segments: tuple[SpectralSegment, ...]
     edges: np.ndarray
     #: (N, c) in the readings' units, and (N, c, p).
     residual: np.ndarray
@@ -277,7 +277,7 @@ def _moments(data: DiagnosisData, fit: Fit) -> _Moments | None:
     residuals, parts = [], []
     for s in segments:
 
-        def courses(coefficients: np.ndarray, s: Segment = s) -> np.ndarray:
+        def courses(coefficients: np.ndarray, s: SpectralSegment = s) -> np.ndarray:
             """Moments of coefficients, in the readings' units."""
             return np.asarray(idct(coefficients, axis=0, norm="ortho")) * np.sqrt(len(coefficients) / len(s.times))
 

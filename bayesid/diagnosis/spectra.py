@@ -44,7 +44,7 @@ class _Fading:
 
 
 @dataclass(frozen=True, eq=False)
-class Segment:
+class SpectralSegment:
     """One gap-free recording of a motion or of its static run."""
 
     #: Which motion it belongs to.
@@ -205,7 +205,7 @@ class Segment:
         flat = coefficients.reshape(*coefficients.shape[:2], -1)
         return np.matmul(self.whitener, flat).reshape(coefficients.shape)
 
-    def with_noise(self, covariance: np.ndarray) -> Segment:
+    def with_noise(self, covariance: np.ndarray) -> SpectralSegment:
         """The same recording with another covariance of the coefficients (K, c, c)."""
         out = replace(self, covariance=covariance)
         object.__setattr__(out, "kept", self.kept)
@@ -246,11 +246,11 @@ def taper(times: np.ndarray, whole: np.ndarray, bandwidth: float, settings: Sett
     return np.sin(0.5 * np.pi * np.sin(0.5 * np.pi * inside) ** 2) ** 2
 
 
-def sensor_noise(segments: Sequence[Segment]) -> np.ndarray:
+def sensor_noise(segments: Sequence[SpectralSegment]) -> np.ndarray:
     """Standard deviation of one sample's white noise (c,) of recordings made in the same way."""
     return quiet_noise([s.readings for s in segments])
 
 
-def low_passed(segments: Sequence[Segment]) -> bool:
+def low_passed(segments: Sequence[SpectralSegment]) -> bool:
     """Whether readings were filtered before they were recorded, so that noise above the band tells nothing of it below."""
     return white_noise.low_passed([s.readings for s in segments])

@@ -11,7 +11,7 @@ from bayesid.diagnosis.data import DiagnosisData, model_rows
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.gap import lower_end, share_of_gap
 from bayesid.diagnosis.projector import NuisanceProjector, offset_columns
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Gap:
         }
 
 
-def residual_spectra(data: DiagnosisData, segments: Sequence[Segment], fit: Fit) -> list[np.ndarray]:
+def residual_spectra(data: DiagnosisData, segments: Sequence[SpectralSegment], fit: Fit) -> list[np.ndarray]:
     """Whitened coefficients (K, c) of every segment; a constant offset is taken out anew, a sensor may have been zeroed."""
     white = [s.whiten(s.measured_readings - s.spectrum(data.predict(s, fit.links, fit.terms))) for s in segments]
     rows = without_offset(data, segments, np.concatenate([w.ravel() for w in white]))
@@ -48,7 +48,7 @@ def residual_spectra(data: DiagnosisData, segments: Sequence[Segment], fit: Fit)
     return [part.reshape(w.shape) for part, w in zip(parts, white, strict=True)]
 
 
-def without_offset(data: DiagnosisData, segments: Sequence[Segment], rows: np.ndarray) -> np.ndarray:
+def without_offset(data: DiagnosisData, segments: Sequence[SpectralSegment], rows: np.ndarray) -> np.ndarray:
     """Whitened rows (rows, ...) less what a constant offset of every motion explains, where a static run allows for one."""
     if not (data.offset_free and data.channel == "wrench"):
         return rows
@@ -91,7 +91,7 @@ def validate(
     )  # fmt: skip
 
 
-def _by_blocks(segment: Segment, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def _by_blocks(segment: SpectralSegment, before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Energies before and after and number of coefficients, by block of time (blocks, 3)."""
     energies = [np.sum(segment.samples(w) ** 2, axis=1) for w in (before, after)]
     count = max(int((segment.times[-1] - segment.times[0]) / segment.settings.window), 1)

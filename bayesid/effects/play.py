@@ -35,7 +35,7 @@ from bayesid.effects.segment import REST_SPEED
 from bayesid.signals.splines import Splines
 
 #: Where the root mean square over so many seconds is so many times its median, a crossing may be at a wrong time.
-_STRETCH, _STANDS_OUT = 0.25, 2.0
+_SMOOTHED, _STANDS_OUT = 0.25, 2.0
 #: Two crossings cannot be all of a longer interval [s].
 _LONGEST = 3.0
 #: Crossings that are right leave no more than so many times the usual; one sample on the wrong side of a wide play makes ten.
@@ -50,7 +50,7 @@ def local_energy(left: np.ndarray, step: float) -> np.ndarray:
     """Mean square about each sample (M,) of what is left of readings (M,) that are so far apart [s]."""
     from scipy.ndimage import uniform_filter1d
 
-    return uniform_filter1d(left**2, max(int(round(_STRETCH / step)), 1))
+    return uniform_filter1d(left**2, max(int(round(_SMOOTHED / step)), 1))
 
 
 def intervals_that_stand_out(energy: np.ndarray) -> list[tuple[int, int]]:

@@ -28,7 +28,7 @@ from scipy.stats import chi2
 from bayesid.regression.linalg import or_one
 
 #: Parts that a recording is cut into. Fewer leave few degrees of freedom; in more of them little moves.
-STRETCHES = 8
+PARTS = 8
 #: A dispersion above one counts where chance reaches it with a smaller probability than this.
 CHANCE = 0.05
 #: Largest share of a direction that one part may hold, before its correction is bounded.

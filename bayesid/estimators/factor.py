@@ -10,7 +10,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from scipy.linalg import cholesky, solve_triangular
 
-from bayesid.estimators.dispersion import STRETCHES
+from bayesid.estimators.dispersion import PARTS
 from bayesid.regression.blocks import PANEL, Block
 from bayesid.regression.linalg import or_one
 from bayesid.regression.parallel import in_order
@@ -181,10 +181,10 @@ class Pilot:
     def segments(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
         """``[X y]'[X y]`` of equally long segments of weighted rows of ``orthonormal`` (k, channels, p + 1)."""
         count, p = sum(map(len, parts)), parts[0].shape[2]
-        if count <= 2 * STRETCHES:
+        if count <= 2 * PARTS:
             return []
         root = np.eye(p) if self.root is None else self.root
-        grams, edges, first = np.zeros((STRETCHES, p, p)), np.linspace(0, count, STRETCHES + 1).astype(int), 0
+        grams, edges, first = np.zeros((PARTS, p, p)), np.linspace(0, count, PARTS + 1).astype(int), 0
         for part in parts:
             for gram, a, b in zip(grams, edges[:-1] - first, edges[1:] - first, strict=True):
                 flat = part[max(a, 0) : max(b, 0)].reshape(-1, p)

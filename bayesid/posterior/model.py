@@ -20,7 +20,7 @@ from scipy.linalg import block_diag, get_lapack_funcs, solve_triangular
 from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
-from bayesid.estimators.dispersion import STRETCHES
+from bayesid.estimators.dispersion import PARTS
 from bayesid.posterior import coordinates
 from bayesid.posterior.likelihood import NOISES, DofPrior, Likelihood, ScalePrior, student_log_likelihood, student_slopes
 from bayesid.posterior.trajectory import travel
@@ -111,7 +111,7 @@ class PosteriorModel:
         effects = len(regression.effect_names)
         likelihood = Likelihood.of(regression, keep_rows=noise == "student")
         if likelihood.estimate_only:
-            options = {"scale_prior": ScalePrior(0.5 * (STRETCHES - 1), 0.5 * (STRETCHES - 1)), **options}
+            options = {"scale_prior": ScalePrior(0.5 * (PARTS - 1), 0.5 * (PARTS - 1)), **options}
         elif regression.noise_std is not None:
             options = {"scale_prior": ScalePrior(known=True), **options}
         model = cls(

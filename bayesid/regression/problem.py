@@ -202,7 +202,7 @@ def _judged(
     elif choice is not None:
         reason = (
             f"of those from {choice.bandwidths[-1]:.2g} Hz up to the {choice.bandwidths[0]:.3g} Hz of the positions' own "
-            "cross-validation, chosen by how well stretches left out are predicted"
+            "cross-validation, chosen by how well parts left out are predicted"
         )
         smoother = replace(smoother, bandwidth=float(choice.bandwidths[choice.chosen]), reason=reason)
     return choice, smoother, _at_bandwidth(row_model, smoother.bandwidth, fastest)

@@ -55,7 +55,7 @@ def changes_report(result: Changes) -> str:
             f"The recording was cut into {c.errors.segments} parts. Each was predicted from what the others say, in units of "
             f"what the recording's own fit of the same model leaves: {gap_sentence(c)}.",
             figure(waterfall(_steps(c), c.errors.floor),
-                   "Mean square of the residual on parts that took no part; numbers are its root. Green: what a step takes of "
+                   "Mean square of the residual on parts that were held out; numbers are its root. Green: what a step takes of "
                    "the gap."),
             _channels(c),
         ], "The gap"),

@@ -9,7 +9,7 @@ import numpy as np
 from bayesid.diagnosis.locate import BANDS, by_band, by_window, places_looked_at
 from bayesid.diagnosis.noise import pose_noise
 from bayesid.diagnosis.separation import Visible, visible
-from bayesid.diagnosis.spectra import Segment, sensor_noise
+from bayesid.diagnosis.spectra import SpectralSegment, sensor_noise
 from bayesid.diagnosis.validation import residual_spectra
 from bayesid.results.diagnosis import Diagnosis
 
@@ -96,10 +96,10 @@ def diagnosis_views(diagnosis: Diagnosis) -> Views:
     )
 
 
-def _panels(pairs: list[tuple[Segment, np.ndarray, bool]], level: float) -> tuple[ResidualPanel, ...]:
+def _panels(pairs: list[tuple[SpectralSegment, np.ndarray, bool]], level: float) -> tuple[ResidualPanel, ...]:
     """Moving recordings first, fitted ones before unseen ones; then the runs at rest."""
     looked = {unseen: places_looked_at([s for s, _, u in pairs if u == unseen]) for unseen in (False, True)}
-    groups: dict[tuple[str, bool], list[tuple[Segment, np.ndarray, bool]]] = {}
+    groups: dict[tuple[str, bool], list[tuple[SpectralSegment, np.ndarray, bool]]] = {}
     for pair in pairs:
         groups.setdefault((pair[0].motion, pair[0].still), []).append(pair)
     order = sorted(groups, key=lambda k: (k[1], groups[k][0][2]))
@@ -126,7 +126,7 @@ def _panels(pairs: list[tuple[Segment, np.ndarray, bool]], level: float) -> tupl
     return tuple(out)
 
 
-def _signals(diagnosis: Diagnosis, judged: list[tuple[Segment, np.ndarray, bool]]) -> tuple[SignalView, ...]:
+def _signals(diagnosis: Diagnosis, judged: list[tuple[SpectralSegment, np.ndarray, bool]]) -> tuple[SignalView, ...]:
     """The channels that disagreed most, on the recording on which they did."""
     channels = diagnosis.data.channels
     moving = [p for p in judged if not p[0].still] or judged

@@ -360,7 +360,7 @@ def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
         ("Prior", prior),
         *([] if result.prior_check is None else [("Prior against data", result.prior_check.brief())]),
         ("Noise", f"{noise}; autoregressive in time as learned from residuals, correlated between channels"),
-        ("Model complete", "yes" if model.likelihood.complete else "no: intervals count how far stretches scatter"),
+        ("Model complete", "yes" if model.likelihood.complete else "no: intervals count how far parts scatter"),
         ("Rows", f"{model.likelihood.rows} numbers, {number(1.0 / problem.row_model.step, 3)} rows a second"),
         ("Sampler", f"{engine}; a draw every {chains.thin} of its usual distances; seed {result.seed}"),
         run_times(result.seconds),

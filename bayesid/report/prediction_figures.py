@@ -23,7 +23,7 @@ from bayesid.report.figures import (
     styled,
     tidy_time,
 )
-from bayesid.validation.prediction import BAND, Prediction, Spectrum
+from bayesid.validation.prediction import BAND, Prediction, ResidualSpectrum
 
 
 @styled
@@ -98,7 +98,7 @@ def residuals(prediction: Prediction, channels: Sequence[str] | str | None = Non
     return figure
 
 
-def noise_in_band(spectrum: Spectrum, band: float = BAND) -> np.ndarray:
+def noise_in_band(spectrum: ResidualSpectrum, band: float = BAND) -> np.ndarray:
     """Standard deviation that the noise model leaves below a frequency (c,) [unit of the channel]."""
     width = spectrum.frequencies[0]
     inside = spectrum.frequencies <= band

@@ -147,7 +147,7 @@ class Changes(ShownResult):
         steps = [{"name": a.change.spec, "after": float(np.sqrt(m))}
                  for a, m in zip(self.comparison.selection.accepted, p.changes, strict=True)]  # fmt: skip
         return {
-            "metric": f"rms on {p.segments} stretches held out in turn, over what the recording's own fit leaves",
+            "metric": f"rms on {p.segments} parts held out in turn, over what the recording's own fit leaves",
             "before": float(np.sqrt(p.reference)), "after": float(np.sqrt(after)), "floor": float(np.sqrt(p.floor)),
             "closed": p.closed, "closed_low": p.closed_low,
             "steps": steps, "tolerance_alone": float(np.sqrt(p.tolerance)),
@@ -216,7 +216,7 @@ def shares_sentence(x: NamedChange, comparison: ReferenceComparison) -> str:
     if not np.isfinite(x.share):
         return ""
     return (
-        f"{worded(x.change, comparison)} alone closes {percent(x.share)} of the gap on stretches held out in turn, at least "
+        f"{worded(x.change, comparison)} alone closes {percent(x.share)} of the gap on parts held out in turn, at least "
         f"{percent(x.share_low)} with 95 % confidence"
     )
 
@@ -228,7 +228,7 @@ def gap_sentence(comparison: ReferenceComparison) -> str:
     after = number(float(np.sqrt(p.after if comparison.changes else p.tolerance)), 3)
     what = "with the changes" if comparison.changes else "with friction and gains within what they wander"
     return (
-        f"on stretches held out in turn the reference leaves {before} times what the recording's own fit leaves, "
+        f"on parts held out in turn the reference leaves {before} times what the recording's own fit leaves, "
         f"{after} {what}; the floor is {floor}"
     )
 

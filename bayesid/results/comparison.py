@@ -19,7 +19,7 @@ from bayesid.results.files import ShownResult, strict
 from bayesid.results.text import DASH, chance, channel_text, number, percent, with_interval
 from bayesid.results.urdf_links import UrdfLinks
 from bayesid.section import Cell, Part, ShownSection, ShownTable
-from bayesid.validation.agreement import Gap, HausmanTest
+from bayesid.validation.agreement import EstimatorDifference, HausmanTest
 from bayesid.validation.headline import judged
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import BAND, Prediction
@@ -209,7 +209,7 @@ class Comparison(HasEntries, ShownResult):
     entries: tuple[Entry, ...]
     baselines: tuple[Entry, ...]
     reference: str | None
-    gaps: tuple[Gap, ...]
+    gaps: tuple[EstimatorDifference, ...]
     tests: tuple[HausmanTest, ...]
     warnings: tuple[str, ...]
     seconds: dict[str, float]

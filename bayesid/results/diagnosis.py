@@ -271,7 +271,7 @@ class Diagnosis(ShownResult):
             "closed_in": [
                 {"channels": list(g.channels), "effects": list(g.effects), "share": g.closed} for g in self.part.groups
             ],
-            "stretches": self.part.stretches, "correlated_rows": self.part.correlation,
+            "stretches": self.part.held_out_parts, "correlated_rows": self.part.correlation,
         }  # fmt: skip
 
     def _effect(self, found: Found, index: int) -> dict[str, Any]:
@@ -331,8 +331,8 @@ def part_sentence(diagnosis: Diagnosis) -> str:
     if len(own) == len(d.found):  # a push is no part of other recordings
         closes = "it closes" if len(own) == 1 else "they close"
     text = (
-        f"With each of {part.stretches} parts of the recordings held out in turn, {closes} {percent(1.0 - part.remainder)} of "
-        f"the gap and {percent(part.remainder)} stays"
+        f"With each of {part.held_out_parts} parts of the recordings held out in turn, {closes} "
+        f"{percent(1.0 - part.remainder)} of the gap and {percent(part.remainder)} stays"
     )
     if part.courses[-1] == 0.0:
         text += ", the noise, which is not known, included"

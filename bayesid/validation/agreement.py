@@ -24,7 +24,7 @@ _SMALLEST_GAP = 0.05
 
 
 @dataclass(frozen=True)
-class Gap:
+class EstimatorDifference:
     """How far apart two estimators are, parameter by parameter, in standard deviations of the reference.
 
     Estimates from the same rows are correlated, so this is no test: 1 says that the choice of the estimator
@@ -61,7 +61,7 @@ class HausmanTest:
         return self.probability is not None and self.probability < SMALLEST_AGREEMENT
 
 
-def gaps(estimates: dict[str, Estimate], reference: str) -> list[Gap]:
+def gaps(estimates: dict[str, Estimate], reference: str) -> list[EstimatorDifference]:
     """Differences of all pairs, in standard deviations of the reference, so that they can be compared with each other."""
     names, std = list(estimates), estimates[reference].std
     rank, labels, out = len(std), estimates[reference].base.labels, []
@@ -73,7 +73,7 @@ def gaps(estimates: dict[str, Estimate], reference: str) -> list[Gap]:
                 continue
             z = np.abs(one.values - other.values)[at] / std[at]
             k = int(np.argmax(z))
-            out.append(Gap(first, second, len(at), float(np.sqrt(np.mean(z**2))), float(z[k]), labels[at[k]]))
+            out.append(EstimatorDifference(first, second, len(at), float(np.sqrt(np.mean(z**2))), float(z[k]), labels[at[k]]))
     return out
 
 

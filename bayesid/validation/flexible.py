@@ -6,7 +6,7 @@ own, with the rigid body's parameters as they are, fitted again freely beside th
 from the error of another motion is a lower bound of what is predictable and not in the model.
 
 The regression is ridge regression [Hoerl1970]_ on columns of unit length; its strength, no correction at all among the choices,
-is for each channel the one that predicts stretches of the fitted motions best that were left out. A joint outside the range of
+is for each channel the one that predicts parts of the fitted motions best that were left out. A joint outside the range of
 the fitted motions counts as at its end.
 """
 
@@ -31,16 +31,16 @@ from bayesid.signals.smoothing import smooth
 
 #: Band in which predictions are compared, the same whatever filter or method was used [Hz].
 BAND = 10.0
-#: Stretches that errors are counted by.
-_STRETCHES = 8
-#: Fewer rows, eight in a stretch, show nothing.
+#: Parts that errors are counted by.
+_PARTS = 8
+#: Fewer rows, eight in a part, show nothing.
 _FEWEST = 64
 #: A gain counts from so many standard errors: Student's t with seven degrees of freedom at 97.5 %, for the best of six ways.
 _CERTAIN = 3.636
 
 
 (_solve_positive,) = get_lapack_funcs(("posv",), dtype=np.float64)
-#: Folds of the stretches of the fitted motions.
+#: Folds of the parts of the fitted motions.
 _FOLDS = 4
 #: Penalties on columns of unit length.
 _STRENGTHS = (3e-4, 3e-3, 3e-2)
@@ -110,7 +110,7 @@ Correction = tuple[np.ndarray, np.ndarray] | None
 
 @dataclass(frozen=True)
 class Sums:
-    """Gram matrices (s, n, n), sides (s, n) and powers (s,) of one channel by stretch, over functions, then rigid columns."""
+    """Gram matrices (s, n, n), sides (s, n) and powers (s,) of one channel by part, over functions, then rigid columns."""
 
     grams: np.ndarray
     sides: np.ndarray
@@ -118,7 +118,7 @@ class Sums:
 
 
 def grams(values: np.ndarray, columns: np.ndarray, inside: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Gram matrices of each channel by stretch (s, n, n), over functions (k, f), then rigid columns (k, c, p)."""
+    """Gram matrices of each channel by part (s, n, n), over functions (k, f), then rigid columns (k, c, p)."""
     f, n = values.shape[1], values.shape[1] + columns.shape[2]
     shared, out = [values[own].T @ values[own] for own in inside], []
     for c in range(columns.shape[1]):
@@ -213,7 +213,7 @@ class FlexibleGap:
     before: float
     after: float
     removed: float  # share of the error that the flexible model removes; negative where it adds some
-    std: float  # its standard error, from the scatter between stretches of the motion
+    std: float  # its standard error, from the scatter between parts of the motion
 
     @property
     def certain(self) -> bool:
@@ -233,7 +233,7 @@ class _Rows:
     target: np.ndarray
     columns: np.ndarray
     state: State  # of the joints
-    inside: list[np.ndarray]  # which rows are in each stretch (k,)
+    inside: list[np.ndarray]  # which rows are in each part (k,)
     step: float  # distance of rows [s]
 
     def residual(self, solution: np.ndarray) -> np.ndarray:
@@ -252,7 +252,7 @@ class FlexibleModel:
     fitted, values
         Rows of the fitted motions, and the functions' values there (k, f).
     grams
-        Gram matrices (s, f + p, f + p) of each channel, by stretch.
+        Gram matrices (s, f + p, f + p) of each channel, by part.
     joints
         Whose torques the channels read, None for a sensor's.
     """
@@ -330,8 +330,8 @@ def _rows(problem: Problem, motions: Sequence[str]) -> _Rows | None:
         return None
     target /= size[:, None]
     columns /= size[:, None, None]
-    stretch = np.arange(len(target)) * _STRETCHES // len(target)
-    return _Rows(target, columns, (q, v, a), [stretch == k for k in range(_STRETCHES)], problem.row_model.step)
+    part = np.arange(len(target)) * _PARTS // len(target)
+    return _Rows(target, columns, (q, v, a), [part == k for k in range(_PARTS)], problem.row_model.step)
 
 
 def _blocks(problem: Problem, motions: Sequence[str]) -> Iterable[Block]:
@@ -363,7 +363,7 @@ def _pieces(row_model: RowModel, segments: Sequence[Segment]) -> Iterator[Segmen
 def _gap(
     rows: _Rows, residual: np.ndarray, power: np.ndarray, functions: np.ndarray, way: Sequence[Correction]
 ) -> FlexibleGap:  # fmt: skip
-    """Gap by one way, from the residual and its power by stretch; the gain's standard error from the scatter of the stretches."""
+    """Gap by one way, from the residual and its power by part; the gain's standard error from the scatter of the parts."""
     left = residual.copy()
     for c, correction in enumerate(way):
         if correction is not None:
@@ -375,7 +375,7 @@ def _gap(
     before, after = power.sum(), reduced.sum()
     ratio = after / before
     # Of a ratio of sums, by its linearisation: d ratio = (d after - ratio d before) / before.
-    spread = np.std(reduced - ratio * power, ddof=1) * np.sqrt(_STRETCHES) / before
+    spread = np.std(reduced - ratio * power, ddof=1) * np.sqrt(_PARTS) / before
     removed, rows_count = 1.0 - np.sqrt(ratio), len(residual)
     std = spread / max(2.0 * np.sqrt(ratio), 1e-9)
     rms = np.sqrt(np.array([before, after]) / rows_count)
@@ -383,7 +383,7 @@ def _gap(
 
 
 def _band_powers(values: np.ndarray, rows: _Rows) -> np.ndarray:
-    """Energy of rows (k, c) below `BAND` by stretch, all channels together."""
+    """Energy of rows (k, c) below `BAND` by part, all channels together."""
     out = []
     for own in rows.inside:
         z = np.asarray(dct(values[own], axis=0, norm="ortho"))

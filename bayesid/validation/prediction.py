@@ -34,7 +34,7 @@ _PLOTTED = 4000
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
+class ResidualSpectrum:
     """Residual of a motion by frequency beside the noise that the intervals are built on."""
 
     frequencies: np.ndarray  # (f,) [Hz], above zero, up to half the row rate
@@ -79,7 +79,7 @@ class Prediction:
     repeats: str | None = None  # name of a fitted motion that this motion repeats, or None
     poses: bool = False  # whether the samples are poses at rest, one by one, rather than a motion
     #: Residual and noise by frequency; None for poses and segments too short to tell frequencies apart.
-    spectrum: Spectrum | None = None
+    spectrum: ResidualSpectrum | None = None
     #: What a flexible model would take from the error of a motion that was not fitted; None where nothing tells.
     flexible: FlexibleGap | None = None
     fitted: bool = False  # whether the estimate was fitted to this motion
@@ -262,7 +262,7 @@ def _squares(values: np.ndarray) -> np.ndarray:
 
 def _whitened(
     problem: Problem, estimate: Estimate, motion: str, segments: list[Segment]
-) -> tuple[np.ndarray, float, float, Spectrum | None]:
+) -> tuple[np.ndarray, float, float, ResidualSpectrum | None]:
     """Root mean square of residual rows over the fit's noise (c,), what is expected, share inside 95 % intervals, spectrum."""
     noise = dict(estimate.noise)
     for group in ("trajectory", "poses"):  # a kind of rows that was not fitted: the other's noise, uncoloured
@@ -300,7 +300,9 @@ def _whitened(
     return channels, expected, inside, spectrum
 
 
-def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate: float, filtered: bool) -> Spectrum | None:
+def _spectrum(
+    residuals: list[np.ndarray], noise: NoiseModel, step: float, rate: float, filtered: bool
+) -> ResidualSpectrum | None:
     """Welch's estimate over all segments of rows (k, c), and the same of the recursion that models the noise.
 
     A row has the energy of one sample: white noise keeps its standard deviation, though rows are fewer. A
@@ -317,7 +319,7 @@ def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate:
     gain = np.abs(np.fft.rfft(noise.coefficients, length, axis=1))[:, 1:].T
     model = 2.0 * step * np.diag(noise.innovation) / gain**2
     samples_per_row = max(rate * step, 1.0)
-    return Spectrum(frequencies, np.sqrt(power / samples_per_row), np.sqrt(model / samples_per_row), filtered)
+    return ResidualSpectrum(frequencies, np.sqrt(power / samples_per_row), np.sqrt(model / samples_per_row), filtered)
 
 
 def repeated(experiment: Experiment, motion: Motion, fitted: tuple[str, ...]) -> str | None:

@@ -52,7 +52,7 @@ def assumptions(result: ControllerBounds, dropped: Sequence[str]) -> tuple[str, 
     if known.dispersion > 1.0:
         out.append(
             f"What the model lacks is counted: the covariance is {known.dispersion:.3g} times what noise alone would give, by "
-            "the scatter between stretches of the recording."
+            "the scatter between parts of the recording."
         )
     if known.held_out_scale < 1.0:
         out.append(

@@ -90,7 +90,7 @@ def incomplete(dispersion: float | None, channels: Mapping[str, float] | None = 
     where = f", most in {' and '.join(most)}" if most else ""
     wider = f" ({factor:.2g} times as wide as noise alone makes them{where})" if factor > 1.0 else ""
     return (
-        "Something is missing in the model: the fit scatters more between stretches of the recording, or between weightings, "
+        "Something is missing in the model: the fit scatters more between parts of the recording, or between weightings, "
         f"than noise explains. Intervals count the scatter{wider}; for motions unlike the fitted ones they do not hold. "
         f"`{call('diagnose')}` looks for the missing effect."
     )

@@ -140,7 +140,7 @@ def _closed(r: dict[str, Any]) -> Figure:
         end = squares[k] if k in (0, len(steps) - 1) else max(squares[k - 1], squares[k])
         left.text(end + 0.01 * squares[0], k, f"{value:.2f}", va="center", fontsize=8)
     left.set_yticks(places, [name for name, _ in steps])
-    left.set(xlabel="mean square on held-out stretches; rms beside bars", xlim=(0.0, 1.12 * squares.max()))
+    left.set(xlabel="mean square on held-out parts; rms beside bars", xlim=(0.0, 1.12 * squares.max()))
     left.set_title("gap, and what closes it", fontsize=9)
     places = np.arange(len(scores))
     named = set(r["changed"]["effects"])

@@ -13,7 +13,7 @@ from bayesid.diagnosis.locate import LISTED, by_window, locate, places_looked_at
 from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.settings import DEFAULT
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.recordings.experiment import load_experiment
 from bayesid.results import diagnosis as text
 from bayesid.signals.runs import runs
@@ -38,7 +38,7 @@ def segment(seed, duration=20.0, rate=250.0, colour="white", still=False, joints
     readings = noise + 100.0 * q @ rng.normal(size=(joints, CHANNELS))
     trajectory = smoothed(t, q, t[::3], 12.0, still, np.zeros(joints))
     covariance = np.zeros((0, CHANNELS, CHANNELS))
-    return Segment("motion", "identification", t, q, readings, trajectory, still, (), covariance)
+    return SpectralSegment("motion", "identification", t, q, readings, trajectory, still, (), covariance)
 
 
 def hit(s, at, size, length=0.02, channel=0):

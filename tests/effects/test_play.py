@@ -149,7 +149,7 @@ def test_a_wide_play_through_many_stops(tmp_path):
 
 @pytest.mark.parametrize("seed", [1, 2, 13])
 def test_derivatives_keep_crossings_that_were_sought_anew(tmp_path, seed):
-    """Against fits of their own to a gap a five-hundredth smaller and larger, but for stretches in which these differ."""
+    """Against fits of their own to a gap a five-hundredth smaller and larger, but for parts in which these differ."""
     robot, channels, _, term, (_, segment) = stopped_with_play(tmp_path, seed)
     slope = band(columns(robot, channels, segment, robot.nominal, [term], term.effect)[100:-100, 0, 0])
     gap, firm = term.values

@@ -1,22 +1,22 @@
-"""Dispersion between stretches: the textbook formula, no effect on noise, intervals that hold where parameters wander."""
+"""Dispersion between parts: the textbook formula, no effect on noise, intervals that hold where parameters wander."""
 
 import numpy as np
 import pytest
 from scipy.linalg import sqrtm
 
 import bayesid
-from bayesid.estimators.dispersion import STRETCHES, Dispersion, Rows, dispersions, widening
+from bayesid.estimators.dispersion import PARTS, Dispersion, Rows, dispersions, widening
 from bayesid.estimators.weights import learn_weights
 from bayesid.posterior.likelihood import Likelihood
 from bayesid.regression.regression import Regression
 
 
 def regression(rng, p=6, channels=2, rows=640, wander=0.0):
-    """Slow sines as columns, white noise, and parameters that differ from stretch to stretch by ``wander``."""
+    """Slow sines as columns, white noise, and parameters that differ from part to part by ``wander``."""
     times = np.arange(rows) / 20.0
     columns = [np.sin(np.outer(times, rng.uniform(0.5, 12.0, p)) + rng.uniform(0, 6, p)) for _ in range(channels)]
     matrix = np.stack(columns, axis=1)
-    own = np.repeat(1.0 + wander * rng.normal(size=(STRETCHES, p)), rows // STRETCHES, axis=0)
+    own = np.repeat(1.0 + wander * rng.normal(size=(PARTS, p)), rows // PARTS, axis=0)
     target = np.einsum("tcp,tp->tc", matrix, own) + 0.1 * rng.normal(size=(rows, channels))
     return Regression.from_arrays(matrix, target), np.ones(p)
 
@@ -28,16 +28,16 @@ def test_it_is_the_bias_reduced_covariance_of_clustered_rows():
     b = np.linalg.lstsq(x, y, rcond=None)[0]
     bread = np.linalg.inv(x.T @ x)
     total = np.zeros((3, 3))
-    for rows in np.array_split(np.arange(160), STRETCHES):
+    for rows in np.array_split(np.arange(160), PARTS):
         own = x[rows]
         adjust = np.linalg.inv(np.real(sqrtm(np.eye(len(rows)) - own @ bread @ own.T)))
         pull = bread @ own.T @ adjust @ (y[rows] - own @ b)
         total += np.outer(pull, pull)
-    grams = [np.column_stack([x[k], y[k]]).T @ np.column_stack([x[k], y[k]]) for k in np.array_split(np.arange(160), STRETCHES)]
+    grams = [np.column_stack([x[k], y[k]]).T @ np.column_stack([x[k], y[k]]) for k in np.array_split(np.arange(160), PARTS)]
     (scatter,) = dispersions(Rows(grams), b)
     # The root is taken in other coordinates, in which the share of a cluster is the same.
     assert scatter.found == pytest.approx(np.trace(np.linalg.inv(bread) @ total) / 3, rel=1e-9)
-    assert scatter.degrees == 3 * (STRETCHES - 1) // 2 and scatter.size == pytest.approx(3.0)
+    assert scatter.degrees == 3 * (PARTS - 1) // 2 and scatter.size == pytest.approx(3.0)
 
 
 def test_noise_alone_is_hardly_ever_called_scatter():
@@ -80,7 +80,7 @@ def test_chance_needs_degrees_of_freedom():
 
 
 def test_a_channel_that_wanders_alone_widens_what_it_shows_alone():
-    """Each channel has parameters of its own; those of the first differ from stretch to stretch."""
+    """Each channel has parameters of its own; those of the first differ from part to part."""
     inside, quiet, ratio = [], [], []
     for k in range(25):
         rng = np.random.default_rng(200 + k)

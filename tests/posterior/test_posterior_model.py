@@ -72,7 +72,7 @@ def incomplete():
 
 @pytest.mark.parametrize("engine", ["hmc", "emcee"])
 def test_posterior_of_an_incomplete_model_is_a_student_t_about_the_fit(incomplete, engine):
-    """Draws against ``wls`` and its covariance, which eight stretches told: seven degrees of freedom."""
+    """Draws against ``wls`` and its covariance, learned from eight parts: seven degrees of freedom."""
     estimate, model = fit(incomplete, "wls"), PosteriorModel.of(incomplete)
     assert not estimate.details.model_complete and model.scale_names == ("estimate",)
     chosen = choose_engine(model, engine)

@@ -1,4 +1,4 @@
-"""The choice of the bandwidth by predictions of stretches left out."""
+"""The choice of the bandwidth by predictions of parts left out."""
 
 from dataclasses import replace
 

@@ -74,8 +74,8 @@ def test_recordings_of_one_robot_and_motion_state_like_standard_deviations(monke
     assert spread.max() < 0.17, spread  # 0.22 where the turning points stay as they were smoothed
 
 
-def test_size_on_a_long_recording_with_many_short_stretches():
-    """A part of them is measured, whole stretches each; those too short to tell anything count for nothing."""
+def test_size_on_a_long_recording_with_many_short_pieces():
+    """A part of them is measured, whole pieces each; those too short to tell anything count for nothing."""
     rng = np.random.default_rng(5)
     times = np.arange(100) / 125.0
     few = segment_of(np.arange(20) / 125.0, rng.normal(0.0, 1e-4, (20, 2)))

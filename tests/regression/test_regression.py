@@ -144,7 +144,7 @@ def test_a_recording_too_long_to_keep_gives_the_same_estimate(filters, tmp_path,
     streamed = fit(streamed_problem.regression)
     assert not streamed_problem.regression.rows.fits_in_memory
     assert next(streamed_problem.regression.blocks()) is not next(streamed_problem.regression.blocks())
-    # Both weigh the channels by a noise learned from stretches, which differ a little in their ends.
+    # Both weigh the channels by a noise learned from parts, which differ a little in their ends.
     assert np.abs((streamed.values - kept.values) / kept.std).max() < 0.2
     np.testing.assert_allclose(streamed.std, kept.std, rtol=0.1)
 

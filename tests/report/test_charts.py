@@ -75,13 +75,13 @@ def test_bars_end_where_the_motion_does():
 
 
 def drawn(path):
-    """Points of a curve and the numbers of points of its stretches."""
-    stretches = []
+    """Points of a curve and the numbers of points of its parts."""
+    parts = []
     for part in path.split("M")[1:]:
         start, _, steps = part.partition("l")
         points = np.array([start.split(), *(s.split() for s in re.findall(r"-?[\d.]+ -?[\d.]+", steps))], float)
-        stretches.append(np.cumsum(points, axis=0))
-    return stretches
+        parts.append(np.cumsum(points, axis=0))
+    return parts
 
 
 def test_curves_are_drawn_where_they_are_and_not_across_gaps():
@@ -90,11 +90,11 @@ def test_curves_are_drawn_where_they_are_and_not_across_gaps():
     y = np.sin(3 * x) * np.cos(11 * x)
     x[700], y[900] = np.nan, np.nan
     path = re.search(r' d="([^"]+)"', " " + panel.curve(x, y, "red"))[1]
-    stretches = drawn(path)
-    assert len(stretches) == 3 and sum(map(len, stretches)) < 1200
-    for stretch, part in zip(stretches, (slice(0, 700), slice(701, 900), slice(901, None)), strict=True):
-        places = panel.across(x[part])
-        np.testing.assert_allclose(np.interp(places, *stretch.T), panel.down(y[part]), atol=0.6)
+    parts = drawn(path)
+    assert len(parts) == 3 and sum(map(len, parts)) < 1200
+    for points, where in zip(parts, (slice(0, 700), slice(701, 900), slice(901, None)), strict=True):
+        places = panel.across(x[where])
+        np.testing.assert_allclose(np.interp(places, *points.T), panel.down(y[where]), atol=0.6)
 
 
 def test_spikes_of_one_sample_are_drawn():

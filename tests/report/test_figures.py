@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from bayesid.report.figures import to_svg
 from bayesid.report.identification_figures import parameter_intervals
 from bayesid.report.prediction_figures import measured_against_predicted, noise_in_band, residuals
-from bayesid.validation.prediction import Prediction, Spectrum
+from bayesid.validation.prediction import Prediction, ResidualSpectrum
 
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
@@ -29,7 +29,8 @@ def prediction(channels=WRENCH, *, samples=800, poses=False, spectrum=True, gap=
         channel_units=tuple("N" if c.startswith("f") else "N m" for c in channels), times=times, measured=measured,
         predicted=measured + 0.01 * scale * rng.normal(size=measured.shape), rmse=ones, rmse_raw=ones, nrmse=ones, nrmse_raw=ones,
         whitened_rms=1.0, whitened_rms_by_channel=ones, coverage=0.95, poses=poses,
-        spectrum=Spectrum(frequencies, level * rng.uniform(0.5, 2.0, level.shape), level) if spectrum and not poses else None,
+        spectrum=ResidualSpectrum(frequencies, level * rng.uniform(0.5, 2.0, level.shape), level)
+        if spectrum and not poses else None,
     )  # fmt: skip
 
 
@@ -143,7 +144,7 @@ def test_forces_stand_left_of_moments():
 
 def test_noise_in_the_band_is_the_integral_of_its_density():
     frequencies = np.arange(1, 1001) * 0.02
-    spectrum = Spectrum(frequencies, np.ones((1000, 1)), np.full((1000, 1), 0.3))
+    spectrum = ResidualSpectrum(frequencies, np.ones((1000, 1)), np.full((1000, 1), 0.3))
     np.testing.assert_allclose(noise_in_band(spectrum, 10.0), 0.3 * np.sqrt(10.0), rtol=1e-9)
 
 

@@ -138,7 +138,7 @@ is that of the centre of the band over the torques, all joints together; before,
 A band is worth what the recordings show of the model's error. With a motion held out it is measured there; without one it is that
 of the fitted motion, enlarged by what the fit took of it, and the headline of `bounds` says that nothing shows another motion or
 day. The KUKA is the example of why: its third recording is gentler than the first, and so are the bands that it gives alone.
-Where stretches of one recording contradict each other, as those of the UR10 and of the KUKA's first do, the covariance is
+Where parts of one recording contradict each other, as those of the UR10 and of the KUKA's first do, the covariance is
 multiplied for it; other recordings of these robots show that this is too careful, and bands without a held-out motion are wide.
 
 On simulated robots whose model is complete nothing is added: [bounds held against the truth](../controller-bounds/README.md).

@@ -84,7 +84,7 @@ def page(rows: list[dict]) -> str:
     for r in others:
         verdict = r["verdict"].replace("_", " ")
         lines.append(_line(r["before"], r["after"], verdict, r["best"], f"{r['log_evidence']:.1f}", _gap(r)))
-    lines += ["", "Gap: root mean square on stretches held out in turn, over what the recording's own fit leaves."]
+    lines += ["", "Gap: root mean square on parts held out in turn, over what the recording's own fit leaves."]
     return "\n".join(lines) + "\n"
 
 

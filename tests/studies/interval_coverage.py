@@ -193,7 +193,7 @@ over all recordings, and the *bound* is Cramér and Rao's: no unbiased estimate 
 the scatter of the errors in units of the standard deviations that were stated, mean of all parameters: 1 where these are exact.
 
 **Behind the paper's low-pass intervals are a little wider than need be.** They count how far the estimate scatters between
-stretches of the recording where that is larger than noise makes it, as it is on real robots. One complete model in twenty shows
+parts of the recording where that is larger than noise makes it, as it is on real robots. One complete model in twenty shows
 so much by chance, and rows that were low-passed say little about it.
 
 **White-noise intervals** are the textbook's `s² (X'X)⁻¹` on every sample's row. Without a low-pass the noise of the rows is

@@ -57,11 +57,11 @@ PUBLISHED: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "tx40": (
         "joint 6 of the tables is the sum of joints 5 and 6: rotor inertia 0.00964 kg m^2, viscous friction 0.616 N m s/rad, "
-        "Coulomb friction 1.95 N m; error of joints 5 and 6 on unseen stretches 26 and 31 %",
+        "Coulomb friction 1.95 N m; error of joints 5 and 6 on unseen parts 26 and 31 %",
         _WRIST,
     ),
     "tx40, with the wrist's coupling": (
-        "error of joints 5 and 6 on unseen stretches 135 and 67 % where the coupling was left out, 26 and 31 % with it", _WRIST,
+        "error of joints 5 and 6 on unseen parts 135 and 67 % where the coupling was left out, 26 and 31 % with it", _WRIST,
     ),
     "ur10, with friction": ("least squares with friction (rank 58) predicts the last 40 % with 9.1 % error [Petrone2025]", ()),
     **{

@@ -58,7 +58,7 @@ Made by `python -m tests.studies.unmodelled`, seed {{ seed }}.
 {% endfor %}
 
 *z* is what nine tenths of all errors stay below, in stated standard deviations; it should be 1.64. An effect that follows the
-motion in the same way from beginning to end biases all stretches of a recording alike; no interval that is learned from their
+motion in the same way from beginning to end biases all parts of a recording alike; no interval that is learned from their
 disagreement can hold that ([limits](../../explanation/limits.md)). {{ counts }}
 """
 

@@ -218,7 +218,7 @@ def test_a_missing_effect_makes_estimators_contradict_each_other():
 
 
 def test_two_names_of_one_estimate_are_told():
-    # A coefficient that wanders between stretches: no noise explains it, so gls weights by channel as wls does.
+    # A coefficient that wanders between parts: no noise explains it, so gls weights by channel as wls does.
     rng = np.random.default_rng(3)
     x = rng.normal(size=(1600, 2, 3))
     wandering = 1.0 + 0.3 * np.repeat(rng.normal(size=8), 200)

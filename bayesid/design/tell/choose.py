@@ -28,7 +28,7 @@ from bayesid.diagnosis.fit import Fit, advance, begin, fit
 from bayesid.diagnosis.prepare import even_grid
 from bayesid.diagnosis.projector import NuisanceProjector, make_projector
 from bayesid.diagnosis.search import Search
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import Effect, MotionSegment
 from bayesid.simulation.trajectories import Trajectory
 
@@ -45,7 +45,7 @@ class SeenInstruments:
     """Instruments as the recordings show them."""
 
     data: DiagnosisData  # the recordings
-    like: Segment  # a moving segment of them: rates, bandwidth and noise are taken from it
+    like: SpectralSegment  # a moving segment of them: rates, bandwidth and noise are taken from it
     noise: np.ndarray  # covariance of a sample by frequency, sensors' and what the encoders' errors do to predictions (K, c, c)
 
     @classmethod
@@ -68,7 +68,7 @@ class SeenInstruments:
         """Samples a second."""
         return 1.0 / self.like.step
 
-    def segment(self, motion: Planned, fitted: Fit) -> Segment:
+    def segment(self, motion: Planned, fitted: Fit) -> SpectralSegment:
         """A motion as it would be recorded, without readings; with the noise that a model makes of it."""
         data, like, old = self.data, self.like, self.like.trajectory
         times = np.arange(int(round(motion.duration / like.step)) + 1) * like.step
@@ -76,7 +76,7 @@ class SeenInstruments:
         grid = times if like.instant else even_grid(times, per_second)
         trajectory = MotionSegment(grid, *motion.at(grid), False, old.bandwidth, old.middle_positions, old.clear, old.cell)
         empty = np.zeros((len(times), len(data.channels)))
-        bare = Segment(
+        bare = SpectralSegment(
             NAME, "identification", times, motion.at(times)[0], empty, trajectory, False, like.torque_channels, np.zeros(0),
             like.instant, like.settings,
         )  # fmt: skip
@@ -92,7 +92,7 @@ def contest(case: Case, bench: SeenInstruments, motion: Planned) -> Contest:
     return contest_on(case, [bench.segment(motion, case.rivals[0].fit)])
 
 
-def contest_on(case: Case, segments: Sequence[Segment]) -> Contest:
+def contest_on(case: Case, segments: Sequence[SpectralSegment]) -> Contest:
     """What segments with known noise, whatever they read, do to the evidence between the rivals of a case."""
     first = case.rivals[0].fit
     data = first.projector.data

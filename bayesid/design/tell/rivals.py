@@ -14,12 +14,12 @@ from bayesid.diagnosis.data import DiagnosisData, model_rows
 from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.projector import make_projector, offset_columns
 from bayesid.diagnosis.search import Search
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import Effect, Term
 
 
 @dataclass(frozen=True, eq=False)
-class PredictedSegment(Segment):
+class PredictedSegment(SpectralSegment):
     """A segment whose readings are given by their coefficients, without noise."""
 
     coefficients: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))  # of the readings (K, c)
@@ -30,10 +30,12 @@ class PredictedSegment(Segment):
         return self.coefficients
 
 
-def predicted(data: DiagnosisData, segment: Segment, links: np.ndarray, offset: np.ndarray, terms: Sequence[Term]) -> Segment:
+def predicted(
+    data: DiagnosisData, segment: SpectralSegment, links: np.ndarray, offset: np.ndarray, terms: Sequence[Term]
+) -> SpectralSegment:
     """The segment with the readings that a model predicts in place of its own."""
     read = segment.spectrum(data.predict(segment, links, terms)) + segment.measured_ones * offset
-    given = {item.name: getattr(segment, item.name) for item in fields(Segment) if item.init}
+    given = {item.name: getattr(segment, item.name) for item in fields(SpectralSegment) if item.init}
     return PredictedSegment(**given, coefficients=read)
 
 
@@ -57,7 +59,7 @@ def known(fitted: Fit, name: str, evidence: float, dispersion: float) -> Rival:
     return Rival(name, fitted, evidence, r / np.sqrt(dispersion), dispersion, projector.rows)
 
 
-def columns(fitted: Fit, segments: Sequence[Segment]) -> np.ndarray:
+def columns(fitted: Fit, segments: Sequence[SpectralSegment]) -> np.ndarray:
     """Whitened derivatives of a fit's readings with respect to links, offset and its free parameters (rows, s + k).
 
     Links and offset are in the projector's coordinates; their columns are those beside the fit's own effects.

@@ -169,7 +169,7 @@ class ReferenceComparison:
         s = self.selection
         denied = [a.change.spec for a in s.accepted if a.change not in {c.change for c in self.changes}]
         if denied:
-            return f"{', '.join(denied)}, which held-out stretches deny"
+            return f"{', '.join(denied)}, which held-out parts deny"
         if s.factor > 1.0:
             return f"links and friction of all joints, {s.factor:g} times as far from the reference as is usual"
         return None

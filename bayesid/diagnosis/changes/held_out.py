@@ -17,7 +17,7 @@ from bayesid.diagnosis.changes.selection import Selection
 from bayesid.diagnosis.gap import lower_end, share_of_gap
 from bayesid.diagnosis.locate import LISTED
 from bayesid.diagnosis.settings import Settings
-from bayesid.estimators.dispersion import STRETCHES
+from bayesid.estimators.dispersion import PARTS
 
 #: From so many motions on each is left out as a whole; fewer are cut into parts.
 _ENOUGH_MOTIONS = 4
@@ -120,7 +120,7 @@ def _groups(recording: LaterRecording) -> np.ndarray:
     motions = list(dict.fromkeys(recording.motions.tolist()))
     if len(motions) >= _ENOUGH_MOTIONS:
         return np.searchsorted(np.sort(motions), recording.motions)
-    return np.arange(len(recording.left)) * STRETCHES // len(recording.left)
+    return np.arange(len(recording.left)) * PARTS // len(recording.left)
 
 
 def _blocks(recording: LaterRecording, settings: Settings) -> list[np.ndarray]:

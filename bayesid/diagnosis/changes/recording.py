@@ -11,7 +11,7 @@ from bayesid.arguments import argument
 from bayesid.diagnosis.changes.proposals import with_proposals
 from bayesid.diagnosis.changes.reference import Reference, with_bodies
 from bayesid.errors import InputError
-from bayesid.estimators.dispersion import STRETCHES, Rows, dispersions
+from bayesid.estimators.dispersion import PARTS, Rows, dispersions
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.options import FitOptions
@@ -66,7 +66,7 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
     scale = np.maximum(scale, 1e-9 * scale.max(initial=1e-200))
     flat = (rows / scale[:, None]).reshape(-1, rows.shape[2])
     x, z, y = flat[:, :p], flat[:, p:-1], flat[:, -1]
-    grams = [part.T @ part for part in np.array_split(np.column_stack([x, y]), STRETCHES)]
+    grams = [part.T @ part for part in np.array_split(np.column_stack([x, y]), PARTS)]
     return LaterRecording(
         problem, np.hstack([x, x @ _body_columns(problem), z, z - x @ reference.lacking.carried]), y - x @ reference.solution,
         np.repeat(np.concatenate([block.times for block in blocks]), count),

@@ -18,7 +18,7 @@ from bayesid.diagnosis.description.candidates import CandidateTerm
 from bayesid.diagnosis.description.shapes import Range, Shape
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import UNKNOWN_OFFSET, orthonormal
-from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import Model, variables
 from bayesid.effects.formula import Formula
 
@@ -32,7 +32,7 @@ _LEFT = 0.02
 class SegmentPart:
     """Some of a segment's samples."""
 
-    segment: Segment  # of the recording
+    segment: SpectralSegment  # of the recording
     variables: Mapping[str, np.ndarray]  # what formulas may name, on the segment's grid (M,)
     rows: np.ndarray  # which of the segment's K white samples (k,)
     #: Coefficients of shapes that were asked for, by their texts and channel; -1 for those of a sensor, whose weights are one.
@@ -96,7 +96,7 @@ class SegmentPart:
 class Half:
     """Some of the fitted recordings, with what links and effects found explain in them."""
 
-    segments: tuple[Segment, ...]  # all fitted recordings
+    segments: tuple[SpectralSegment, ...]  # all fitted recordings
     parts: tuple[SegmentPart, ...]  # of those that are in this half
     #: Orthonormal columns of the links, the offset and the effects found, with their prior beneath (rows + m, b).
     basis: np.ndarray
@@ -221,7 +221,7 @@ def ranges_of(parts: Sequence[SegmentPart]):
     return of
 
 
-def parts_of(data: DiagnosisData, segments: Sequence[Segment], fit: Fit) -> tuple[SegmentPart, ...]:
+def parts_of(data: DiagnosisData, segments: Sequence[SpectralSegment], fit: Fit) -> tuple[SegmentPart, ...]:
     """Whole segments with their variables, true readings as a model has them."""
     models = (Model.of(data.robot, data.channels, s.trajectory, fit.links, active_terms(s, fit.terms)) for s in segments)
     return tuple(SegmentPart(s, variables(m.readout), np.arange(s.shape[0])) for s, m in zip(segments, models, strict=True))
@@ -259,7 +259,7 @@ def halves(fit: Fit) -> tuple[Half, Half]:
     return made[0], made[1]
 
 
-def _in_second(segment: Segment, motions: Sequence[str]) -> np.ndarray:
+def _in_second(segment: SpectralSegment, motions: Sequence[str]) -> np.ndarray:
     """Which of a segment's white samples belong to the second half (K,)."""
     count = segment.shape[0]
     if len(motions) > 1:

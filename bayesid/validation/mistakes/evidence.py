@@ -53,7 +53,7 @@ AS_RECORDED = Change()
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class RobotFit:
     """The best robot that could exist."""
 
     parameters: np.ndarray  # those of all bodies, ten each, then friction and offsets (p,)
@@ -99,7 +99,7 @@ class Explainer:
         self._counts: list[int] = []
         self._designs: dict[tuple[bytes, ...], Design] = {}
 
-    def fit(self, change: Change = AS_RECORDED) -> list[Fit]:
+    def fit(self, change: Change = AS_RECORDED) -> list[RobotFit]:
         """The best robots that could exist for changed data: any bodies, then the nominal ones times a factor each.
 
         Where the nominal bodies' weight is added there are only the latter: with a weight added, readings of no body become those
@@ -123,10 +123,10 @@ class Explainer:
             if k == len(self._counts):
                 self._counts.append(int(np.count_nonzero(factors)))
             likelihood = self._log_likelihood(left)
-            fits.append(Fit(expand @ factors, residual, left, likelihood, self._counts[k] + change.numbers))
+            fits.append(RobotFit(expand @ factors, residual, left, likelihood, self._counts[k] + change.numbers))
         return fits
 
-    def explains(self, fit: Fit, null: Fit, change: Change) -> bool:
+    def explains(self, fit: RobotFit, null: RobotFit, change: Change) -> bool:
         """Whether a fit of changed data explains the readings, and does not only make them more probable than ``null``.
 
         In the columns that it mends it closes half of the way to the least that can be left of them, in nats; and of each kind
@@ -142,7 +142,7 @@ class Explainer:
         return bool(closed >= 0.5 * way) and explained
 
     def highest_score(self, change: Change | None, worth: float) -> float:
-        """What `Fit.score` of changed data, whatever is changed without a ``change``, cannot exceed [nats].
+        """What `RobotFit.score` of changed data, whatever is changed without a ``change``, cannot exceed [nats].
 
         Every column is then explained to its floor, by the fewest numbers; one that holds one joint's torque, not better than
         by numbers of its own, of any sign (`alone`). ``worth`` is how many independent samples the data are worth.

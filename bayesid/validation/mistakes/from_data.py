@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from bayesid.dynamics.regressors import Kernel
 from bayesid.validation.mistakes.candidates import Candidate, along, order
-from bayesid.validation.mistakes.evidence import WORSE, Change, Explainer, Fit
+from bayesid.validation.mistakes.evidence import WORSE, Change, Explainer, RobotFit
 
 _Order = tuple[int, ...]
 #: Log odds of a second mistake of its own [nats]: one in a thousand.
@@ -135,7 +135,7 @@ def tilted(explainer: Explainer, starts: Sequence[Change], worth: float) -> list
     return out
 
 
-def _direction(explainer: Explainer, fit: Fit) -> np.ndarray:
+def _direction(explainer: Explainer, fit: RobotFit) -> np.ndarray:
     """Gravity that the bodies of a fit need (3,), friction and offsets beside it."""
     samples, bodies = explainer.samples, explainer.robot.nominal.size
     still, links = np.zeros_like(samples.positions), fit.parameters[:bodies]

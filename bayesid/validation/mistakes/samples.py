@@ -93,7 +93,7 @@ def _duration(piece: _Piece) -> float:
 
 
 def _thinned(piece: _Piece, allowed: int) -> list[_Piece]:
-    """Up to so many samples of a piece, in stretches spread over it."""
+    """Up to so many samples of a piece, in runs spread over it."""
     motion, times, positions, read = piece
     if len(times) <= allowed:
         return [piece]

@@ -25,28 +25,28 @@ _STEPS = 2  # of fitting bodies to readings of these sizes, and sizes to those o
 def by_joint(explainer: Explainer, worth: float) -> list[Candidate]:
     """Torques of which each has a sign or a scale of its own: those of motor currents, or of the motors' side of unlike gears."""
     n, bodies = len(explainer.channels), explainer.bodies
-    told, shown = _sizes(explainer, bodies)
+    found, shown = _sizes(explainer, bodies)
     out = []
-    negative = np.flatnonzero(told < 0.0)
+    negative = np.flatnonzero(found < 0.0)
     if 1 < len(negative) < n:
         measured = [int(j) for j in explainer.channels.joint]
         out.append(signs(explainer.robot.joint_names, measured, [measured[k] for k in negative], "torque"))
-    odd = [int(k) for k in np.flatnonzero(shown) if not 1.0 / _NOMINAL < abs(told[k]) < _NOMINAL]
-    spread = np.ptp(np.log(np.abs(told[shown]))) if shown.any() else 0.0
+    odd = [int(k) for k in np.flatnonzero(shown) if not 1.0 / _NOMINAL < abs(found[k]) < _NOMINAL]
+    spread = np.ptp(np.log(np.abs(found[shown]))) if shown.any() else 0.0
     if not odd or not np.log(_ALIKE) < spread < np.log(_ABSURD):  # a factor that all have in common changes no fit
         return out
-    sizes = np.where(shown, told, np.exp(np.median(np.log(np.abs(told[shown])))))
+    sizes = np.where(shown, found, np.exp(np.median(np.log(np.abs(found[shown])))))
     for _ in range(_STEPS):
         fit = max(explainer.fit(Change(readings=np.diag(1.0 / sizes), numbers=n)), key=lambda f: f.score(worth))
         again, seen = _sizes(explainer, fit.parameters[: bodies.size])
         sizes = np.where(shown & seen, again, sizes)
     columns = explainer.channels.names
-    factors = in_words([f"{told[k]:.2g} ({columns[k]})" for k in odd])
+    factors = in_words([f"{found[k]:.2g} ({columns[k]})" for k in odd])
     says = (
         "the columns tau seem to be in units of their own, as motor currents [A] or torques before the gears are: "
         f"{factors} times what {_beside(explainer)}"
     )
-    constants = in_words([f"{1.0 / told[k]:.2g} ({columns[k]})" for k in odd])
+    constants = in_words([f"{1.0 / found[k]:.2g} ({columns[k]})" for k in odd])
     remedy = f"multiply each by its motor's constant and gear ratio, with their sign; from these data about {constants}"
     return [*out, Candidate("torque_scales", "", says, remedy, Change(readings=np.diag(1.0 / sizes), numbers=n))]
 

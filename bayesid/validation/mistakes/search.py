@@ -14,7 +14,7 @@ from bayesid.regression.readings import make_channels
 from bayesid.robot.robot import Robot
 from bayesid.validation.mistakes.candidates import Candidate, Mistake, candidates, link_placement, signs
 from bayesid.validation.mistakes.delay import delayed
-from bayesid.validation.mistakes.evidence import AS_RECORDED, EXPLAINED, WORSE, Explainer, Fit, independent_samples
+from bayesid.validation.mistakes.evidence import AS_RECORDED, EXPLAINED, WORSE, Explainer, RobotFit, independent_samples
 from bayesid.validation.mistakes.from_data import orders, tilted
 from bayesid.validation.mistakes.samples import low_passed
 from bayesid.validation.mistakes.scale import by_joint, implausible_size, weight_carried
@@ -32,12 +32,12 @@ _DOUBTED = 0.05
 _SIGNS = ("torque_sign", "torque_signs", "position_signs")
 
 
-def told(
-    experiment: Experiment, explainer: Explainer, null: Fit, alike: Sequence[tuple[Candidate, Fit]], evidence: float
+def worded(
+    experiment: Experiment, explainer: Explainer, null: RobotFit, alike: Sequence[tuple[Candidate, RobotFit]], evidence: float
 ) -> Mistake:
     """A mistake in words, by ``evidence`` [nats] over ``null``, the best robot for the data as they are.
 
-    ``alike`` are candidates that explain the data as well, each with its robot; the first is named, the others told beside it.
+    ``alike`` are candidates that explain the data as well, each with its robot; the first is named, the others beside it.
     """
     first, fit = alike[0]
     text = f"{_sentence(first.says)}: with that undone, {_falls(explainer, null, fit)}; {first.remedy}"
@@ -52,7 +52,7 @@ def told(
     )  # fmt: skip
 
 
-def not_explained(explainer: Explainer, null: Fit, best: Fit) -> Mistake:
+def not_explained(explainer: Explainer, null: RobotFit, best: RobotFit) -> Mistake:
     """That no robot explains the data, nor any mistake that is known, although some would let them be more probable."""
     what, left = "joint torques" if explainer.torque else "wrench", null.left
     k = int(np.argmax(left / np.maximum(explainer.variation, explainer.floor)))
@@ -66,13 +66,13 @@ def not_explained(explainer: Explainer, null: Fit, best: Fit) -> Mistake:
     return Mistake("not_explained", "", text, channel, 0.0, tuple(map(float, left)), tuple(map(float, best.left)))
 
 
-def _falls(explainer: Explainer, null: Fit, fit: Fit) -> str:
+def _falls(explainer: Explainer, null: RobotFit, fit: RobotFit) -> str:
     k = int(np.argmax(null.left / np.maximum(fit.left, explainer.floor)))
     names, units = explainer.channels.names, explainer.channels.units
     return f"what no possible robot explains of {names[k]} falls from {null.left[k]:.2g} to {fit.left[k]:.2g} {units[k]} rms"
 
 
-def _decided_by(experiment: Experiment, explainer: Explainer, alike: Sequence[tuple[Candidate, Fit]]) -> str:
+def _decided_by(experiment: Experiment, explainer: Explainer, alike: Sequence[tuple[Candidate, RobotFit]]) -> str:
     """What is known to whoever made the recording and tells candidates apart that the data do not."""
     joints = [c.change.joints for c, _ in alike]
     if any(j is not None for j in joints):
@@ -108,7 +108,7 @@ def _pose(experiment: Experiment, joints: np.ndarray) -> str:
     )
 
 
-def _centre(robot: Robot, fit: Fit) -> str:
+def _centre(robot: Robot, fit: RobotFit) -> str:
     body = int(np.argmax(robot.sensor_bodies)) if robot.sensor_bodies.any() else 0
     mass, *moment = fit.parameters[10 * body : 10 * body + 4]
     return _vector(np.array(moment) / mass) if mass > 0.0 else "?"
@@ -128,10 +128,10 @@ class Tried:
 
     candidate: Candidate
     evidence: float
-    fit: Fit
+    fit: RobotFit
 
 
-class Search:
+class MistakeSearch:
     """Candidates that were tried on the readings of a channel.
 
     Attributes
@@ -192,7 +192,7 @@ class Search:
     def _doubtful(self, candidate: Candidate) -> bool:
         return bool(self.doubted[list(candidate.touched)].all())
 
-    def _score(self, fit: Fit) -> float:
+    def _score(self, fit: RobotFit) -> float:
         return fit.score(self.worth)
 
 
@@ -235,7 +235,7 @@ def _in_channel(experiment: Experiment, channel: str, unknown: Container[tuple[s
     return [*_named(experiment, search), *weight_carried(explainer)]
 
 
-def _named(experiment: Experiment, search: Search) -> list[Mistake]:
+def _named(experiment: Experiment, search: MistakeSearch) -> list[Mistake]:
     """The likeliest mistake, and another size than that of a robot where signs are all that is wrong beside it."""
     best, explainer = search.best, search.explainer
     if best is None or best.evidence < search.needed:
@@ -248,18 +248,20 @@ def _named(experiment: Experiment, search: Search) -> list[Mistake]:
     remedies = [t for t in alike if explainer.explains(t.fit, search.null, t.candidate.change)]
     if not remedies:
         return [not_explained(explainer, search.null, best.fit)]
-    found = told(experiment, explainer, search.null, [(t.candidate, t.fit) for t in remedies], remedies[0].evidence)
+    found = worded(experiment, explainer, search.null, [(t.candidate, t.fit) for t in remedies], remedies[0].evidence)
     change = remedies[0].candidate.change
     return [found, *(implausible_size(explainer, change) if found.name in _SIGNS else [])]
 
 
-def searched(experiment: Experiment, explainer: Explainer, channel: str, unknown: Container[tuple[str, str]] = ()) -> Search:
+def searched(
+    experiment: Experiment, explainer: Explainer, channel: str, unknown: Container[tuple[str, str]] = ()
+) -> MistakeSearch:
     """Every candidate tried that could matter, but for unknown ones."""
 
     def known(every: Iterable[Candidate]) -> list[Candidate]:
         return [c for c in every if (c.name, c.where) not in unknown]
 
-    search = Search(explainer)
+    search = MistakeSearch(explainer)
     search.try_out(known(candidates(experiment, channel, explainer.samples)))
     if search.worth_going_on:
         search.try_out(known(_several_signs(search)))
@@ -273,7 +275,7 @@ def searched(experiment: Experiment, explainer: Explainer, channel: str, unknown
     return search
 
 
-def _several_signs(search: Search) -> list[Candidate]:
+def _several_signs(search: MistakeSearch) -> list[Candidate]:
     """Opposite signs of all joints of which each alone has the evidence of a mistake."""
     names, out = search.explainer.robot.joint_names, []
     measured = [int(j) for j in search.explainer.channels.joint] if search.explainer.torque else []
