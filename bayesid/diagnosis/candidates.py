@@ -90,7 +90,7 @@ class Proposal:
 
     @property
     def name(self) -> str:
-        """``name@where``."""
+        """The effect's name and place, ``name@where``."""
         return self.term.effect.spec
 
 

@@ -39,7 +39,7 @@ R, P, W, DW, A, V, WIDTH = 0, 9, 12, 15, 18, 21, 24
 
 @jit
 def _turn(row, x):
-    """R x."""
+    """Rotate a vector x by the rotation matrix of a row."""
     return (dot(get_one(row, 0), x), dot(get_one(row, 3), x), dot(get_one(row, 6), x))
 
 

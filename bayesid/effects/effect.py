@@ -277,7 +277,7 @@ class Effect(ABC):
 
     @cached_property
     def spec(self) -> str:
-        """``name@where``."""
+        """The effect's name and place, ``name@where``."""
         return f"{self.name}@{self.where}"
 
     def excludes(self, other: Effect) -> bool:

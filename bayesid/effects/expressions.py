@@ -75,7 +75,7 @@ class ExpressionEffect(ReadingEffect):
         return 1e9 if any(f.remembers for f in self.formulas.values()) else 0.0
 
     def motion_columns(self, segment, channels):
-        """(N, channels, k)."""
+        """Derivatives of the readings with respect to the parameters (N, channels, k)."""
         q, v, a = segment.positions, segment.velocities, segment.accelerations
         readout = Readout(tuple(channels), segment, q, v, a, np.zeros((len(segment.times), len(channels))))
         out = np.stack([self.added(readout, tuple(unit)) for unit in np.eye(len(self.parameters))], axis=-1)

@@ -287,7 +287,7 @@ class JointTorqueEffect(InstrumentEffect):
         return not self.shape and not self.uses_load
 
     def motion_columns(self, segment: MotionSegment, channels: Sequence[str]) -> np.ndarray:
-        """(N, channels, k)."""
+        """Derivatives of the readings with respect to the parameters (N, channels, k)."""
         out = np.zeros((len(segment.times), len(channels), len(self.parameters)))
         joint = -1 if self.joint is None else self.joint
         if (name := f"tau{joint + 1}") in channels:

@@ -29,7 +29,7 @@ class Block:
 
     @property
     def target(self) -> np.ndarray:
-        """Measured (k, channels)."""
+        """What was measured (k, channels)."""
         return self.rows[:, :, -1]
 
     def residual(self, solution: np.ndarray) -> np.ndarray:

@@ -80,7 +80,7 @@ class RowModel:
 
     @property
     def effect_units(self) -> tuple[str, ...]:
-        """Their units."""
+        """Units of the effects' columns."""
         return self.of_free(u for e in self.effects for u in e.units)
 
     def state(self, segment: Segment, first: int, last: int) -> MotionSegment:

@@ -29,7 +29,7 @@ class EffectBeside:
 
     @property
     def spec(self) -> str:
-        """``name@where``."""
+        """The effect's name and place, ``name@where``."""
         return f"{self.name}@{self.where}"
 
     def __str__(self) -> str:

@@ -167,7 +167,7 @@ class PayloadEstimate(ShownResult):
 
     @property
     def load(self) -> Load:
-        """What controllers take.
+        """The load as robots' controllers take it.
 
         Raises
         ------

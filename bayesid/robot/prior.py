@@ -124,7 +124,7 @@ class Prior:
 
     @property
     def covariance(self) -> np.ndarray:
-        """(P, P).
+        """Covariance of all link parameters (P, P).
 
         Raises
         ------

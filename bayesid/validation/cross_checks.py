@@ -36,7 +36,7 @@ class Agreement:
         return self.probability < 1e-3
 
     def to_dict(self) -> dict:
-        """For JSON."""
+        """The comparison as plain data for JSON."""
         return {**self.__dict__, "contradiction": self.contradiction}
 
 

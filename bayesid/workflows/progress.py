@@ -64,7 +64,7 @@ class _Display:
         self.thread = threading.Thread(target=self._run, daemon=True)
 
     def __call__(self, stage: str) -> None:
-        """Another stage begins."""
+        """Show that another stage begins."""
         self.stage = stage
 
     def __enter__(self) -> _Display:

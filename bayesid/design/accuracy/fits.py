@@ -83,7 +83,7 @@ class Errors:
 
     @property
     def runs(self) -> int:
-        """How many twins."""
+        """Number of twins that were fitted."""
         return len(self.columns)
 
     @property

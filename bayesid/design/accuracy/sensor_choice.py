@@ -56,7 +56,7 @@ _ABSURD = 100.0
 
 
 class _Listed(Section):
-    """One ``[[sensor]]``."""
+    """A section ``[[sensor]]`` of the file: a sensor to choose from."""
 
     name: Name
     kind: Literal["base", "wrist", "plate", "torque"]
@@ -73,7 +73,7 @@ class _Listed(Section):
 
 
 class _File(Section):
-    """The whole file."""
+    """The file that lists sensors."""
 
     format: Literal[1] = 1
     sensor: Annotated[list[_Listed], Field(min_length=1)]

@@ -205,7 +205,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Sweep:
-    """One factor."""
+    """What becomes of the errors while one factor is varied."""
 
     #: Of the factor.
     name: str

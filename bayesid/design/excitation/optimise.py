@@ -165,7 +165,7 @@ _MARGINS = (0.003, 0.01, 0.03)
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is optimised."""
+    """What the search for a motion optimises."""
 
     #: What a motion tells, how that is judged, and what it must keep to.
     information: Information

@@ -65,7 +65,7 @@ class SeenInstruments:
 
     @property
     def rate(self) -> float:
-        """Samples a second."""
+        """Samples a second, as recorded so far."""
         return 1.0 / self.like.step
 
     def segment(self, motion: Planned, fitted: Fit) -> SpectralSegment:

@@ -46,7 +46,7 @@ class Hypothesis:
 
     @property
     def spec(self) -> str:
-        """``name@where``."""
+        """The effect's name and place, ``name@where``."""
         return f"{self.name}@{self.where}"
 
     @property

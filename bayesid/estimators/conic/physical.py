@@ -104,7 +104,7 @@ class PhysicsTest:
 
     @classmethod
     def of(cls, distance: float, directions: int, tested: bool) -> PhysicsTest:
-        """Test a distance.
+        """Test whether a distance from possible bodies is more than noise explains.
 
         ``distance = min (x - x_ls)' V^-1 (x - x_ls)`` over all possible bodies is at most the distance of the true ones,
         which is chi-squared; its own law is a mixture of chi-squared ones with fewer degrees [Shapiro1988]_. So the

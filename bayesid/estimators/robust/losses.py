@@ -51,7 +51,7 @@ class HuberLoss:
     rare: float
 
     def _limit(self, n: np.ndarray) -> np.ndarray:
-        """Square of k."""
+        """Square of the distance k at which weights begin to fall."""
         return chi2.isf(self.rare, n)
 
     def weights(self, q: np.ndarray, n: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ class FoundEffect:
 
     @property
     def spec(self) -> str:
-        """``name@where``."""
+        """The effect's name and place, ``name@where``."""
         return f"{self.name}@{self.where}"
 
     @property
