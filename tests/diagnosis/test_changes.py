@@ -23,6 +23,7 @@ from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
 from bayesid.report.changes import changes_report
 from bayesid.results.changes import next_experiment
+from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
 from tests.robots import puma560, write
 from tests.simulated import experiment, fourier, puma2, recording
@@ -164,6 +165,25 @@ def test_a_turned_sensor_is_named(tmp_path):
     assert change.change.spec == "sensor_rotation@sensor"
     assert [v.value for v in change.values] == pytest.approx([0.02, 0.0, 0.0], abs=2e-3)
     assert bayesid.diagnose(bayesid.simulate(arm, path, seed=5), reference=before).verdict == "nothing_missing"
+
+
+def test_intervals_hold_a_tool_far_from_its_joint(tmp_path):
+    """Priors that weigh names know of no such inertia; values are those of possible bodies all the same."""
+    robot, rng = puma2(tmp_path), np.random.default_rng(5)
+    arm = experiment(robot, [], Sensor(translation=np.array([0.0, 0.0, -0.1])), position_resolution=1e-5)
+    path = [bayesid.fourier_trajectory(robot, duration=12.0, seed=1)]
+    before, off = bayesid.simulate(arm, path, seed=3), []
+    for seed in range(4, 10):
+        mass, centre = rng.uniform(0.5, 1.5), rng.uniform(-0.25, 0.25, 3)
+        about = mass * (0.05**2 * np.eye(3) + centre @ centre * np.eye(3) - np.outer(centre, centre))
+        tool = dict(zip(inertia.PARAMETERS, [mass, *mass * centre, *about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]], strict=True))
+        after = bayesid.simulate(arm, path, effects={"payload@joint2": tool}, seed=seed)
+        (change,) = bayesid.diagnose(after, reference=before).comparison.changes
+        assert change.change.spec == "payload@joint2"
+        assert [v.name for v in change.values] == list(tool)
+        assert inertia.is_physically_consistent(np.array([v.value for v in change.values]), 0.0)
+        off += [(v.value - tool[v.name]) / v.std for v in change.values]
+    assert np.mean(np.abs(off) < 1.96) > 0.85 and np.max(np.abs(off)) < 4.0
 
 
 def test_friction_of_one_joint_is_named(arm):

@@ -27,7 +27,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import t as student
 
 from bayesid.dynamics.kinematics import transform_matrix
-from bayesid.estimators.conic.problem import Conic, solve_conic
+from bayesid.estimators.conic.problem import nearest_body
 from bayesid.robot import inertia
 from bayesid.rounding import HALF, LEVEL
 
@@ -131,18 +131,8 @@ class BodyKnowledge:
 
     @cached_property
     def possible(self) -> BodyKnowledge:
-        """The same about the nearest body that can exist, in standard deviations.
-
-        The set of possible bodies is convex and holds the truth. So the projection onto it, in the metric of the covariance, is
-        no farther from the truth than the estimate, and regions about it hold the truth no less often.
-        """
-        if not self.shown.all() or bool(inertia.is_physically_consistent(self.mean, 0.0)):
-            return self
-        size = np.sqrt(np.diag(self.covariance))
-        factor = np.linalg.cholesky(np.linalg.inv(self.covariance / np.outer(size, size))).T / size
-        around = np.maximum(self.mean, [size[0], *(-inf,) * 9])  # constraints are scaled by a body that the data do not exclude
-        problem = Conic(factor, self.mean, (tuple(range(10)),), inertia.solid(around)[None])
-        return replace(self, mean=solve_conic(problem).x)
+        """The same about the nearest body that can exist, see `nearest_body`."""
+        return replace(self, mean=nearest_body(self.mean, self.covariance)) if self.shown.all() else self
 
     def draws(self, count: int, seed: int = 0) -> np.ndarray:
         """Draws of the ten parameters of bodies that can exist (count, 10); nan where nothing is known.

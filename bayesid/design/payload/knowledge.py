@@ -124,9 +124,8 @@ def from_reference(comparison: ReferenceComparison, joint: int) -> tuple[BodyKno
     else:
         marginals = [s.marginal(factor=f) for f in WANDER_FACTORS]
         evidence = max(gain(marginals, h) for h in forms)
-    # All ten parameters and next to no prior: the comparison's own are there to weigh names, and pull values towards zero.
-    whole = Accepted(max(forms, key=lambda h: len(h.columns)), max(SIZES), evidence)
-    s = replace(s, accepted=(*(a for a in s.accepted if a is not named), whole))
+    s = replace(s, accepted=(*(a for a in s.accepted if a is not named), Accepted(forms[0], max(SIZES), evidence))).for_values
+    whole = s.accepted[-1]
     own, columns = s.directions[-1], whole.change.columns
     fitted = amplitudes(s.marginal())
     root, prior = fitted.part_root(own)[columns], whole.size * whole.change.sizes

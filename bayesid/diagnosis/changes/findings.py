@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -19,6 +19,8 @@ from bayesid.diagnosis.changes.selection import Accepted, Scores, Selection, sel
 from bayesid.diagnosis.fit import outside, squared_distance
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.effects import Term
+from bayesid.effects.bodies import Payload
+from bayesid.estimators.conic.problem import nearest_body
 from bayesid.recordings.experiment import Experiment
 
 #: Factor to which the smallest size is sought.
@@ -42,7 +44,7 @@ def smallest(selection: Selection, settings: Settings) -> tuple[HiddenChange, ..
     marginal = selection.marginal()
     best: dict[str, HiddenChange] = {}
     for change in selection.every:
-        if change.spec in {a.change.spec for a in selection.accepted}:
+        if change.spec in {a.change.spec for a in selection.accepted} or change.far:  # a smaller mass is seen that far out
             continue
         found = HiddenChange(change, _smallest(marginal, change, settings.accept))
         if change.spec not in best or found.value < best[change.spec].value:
@@ -222,10 +224,12 @@ def compare_with_learned(
     errors = held_out_errors(selection, recording, settings, seed)
     decided = verdict(selection, errors, settings)
     named = confirmed(selection, errors, settings)
-    fitted = amplitudes(selection.marginal())
+    free = selection.for_values
+    fitted = amplitudes(free.marginal())
+    each = zip(selection.accepted, free.accepted, _estimates(free, fitted), errors.shares, errors.shares_low, strict=True)
     changes = tuple(
-        NamedChange(a, _values(reference, a.change, fitted, own), share, low, _derived(a.change, fitted, own))
-        for a, own, share, low in zip(selection.accepted, selection.directions, errors.shares, errors.shares_low, strict=True)
+        NamedChange(a, _values(reference, b.change, *estimate), share, low, _derived(b.change, *estimate))
+        for a, b, estimate, share, low in each
         if a in named
     )
     return ReferenceComparison(
@@ -234,10 +238,20 @@ def compare_with_learned(
     )  # fmt: skip
 
 
-def _values(reference: Reference, change: Hypothesis, fitted: Amplitudes, own: slice) -> tuple[Value, ...]:
+def _estimates(selection: Selection, fitted: Amplitudes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Amplitudes (k,) of every change and their covariance (k, k); what was attached or taken away is a body that can exist."""
+    for a, own in zip(selection.accepted, selection.directions, strict=True):
+        mean, root = fitted.part(own)[a.change.columns], fitted.part_root(own)[a.change.columns]
+        covariance = root @ root.T
+        if isinstance(a.change.effects[0], Payload):
+            sign = np.copysign(1.0, mean[0])
+            mean = sign * nearest_body(sign * mean, covariance)
+        yield mean, covariance
+
+
+def _values(reference: Reference, change: Hypothesis, mean: np.ndarray, covariance: np.ndarray) -> tuple[Value, ...]:
     """Parameters of a change."""
-    mean = fitted.part(own)[change.columns]
-    std = np.sqrt(np.sum(fitted.part_root(own)[change.columns] ** 2, axis=1))
+    std = np.sqrt(np.diag(covariance))
     before = reference.solution[change.columns] if change.known else np.zeros(len(mean))
     proposal = change.proposal
     if proposal is None:
@@ -253,13 +267,12 @@ def _values(reference: Reference, change: Hypothesis, fitted: Amplitudes, own: s
     return tuple(Value(n, u, float(v), float(s), 0.0) for n, u, v, s in zip(names, units, values, spread, strict=True))
 
 
-def _derived(change: Hypothesis, fitted: Amplitudes, own: slice) -> tuple[Value, ...]:
+def _derived(change: Hypothesis, mean: np.ndarray, covariance: np.ndarray) -> tuple[Value, ...]:
     """What follows from the parameters of an effect that came at one place and has no shape."""
     effect, *others = change.effects
     if change.known or change.proposal is not None or others:
         return ()
-    mean, root = fitted.part(own)[change.columns], fitted.part_root(own)[change.columns]
-    found = effect.derived(mean.tolist(), root @ root.T)
+    found = effect.derived(mean.tolist(), covariance)
     return tuple(Value(name, unit, value, std, 0.0) for name, value, std, unit in found)
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from bayesid.diagnosis.changes.proposals import ChangeProposal, sizes_of
 from bayesid.diagnosis.changes.reference import Reference
-from bayesid.diagnosis.changes.scales import FRICTION_SHARE, LASTING, SIZES, body_sizes
+from bayesid.diagnosis.changes.scales import FRICTION_SHARE, LASTING, PAYLOAD_MASS, PAYLOAD_REACHES, SIZES, body_sizes
 from bayesid.effects import Effect, JointGainEffect
 from bayesid.effects.bodies import Payload, body_of
 
@@ -43,6 +44,9 @@ class Hypothesis:
     #: How amplitudes become values, of an effect that the reference's model does not have.
     proposal: ChangeProposal | None = None
     known: bool = False  # whether it has it, with other values
+    #: The same change with all its parameters and next to no prior: a prior that weighs names pulls values towards zero.
+    for_values: Hypothesis | None = None
+    far: bool = False  # whether it is a body as far from its joint as the arm reaches
 
     @property
     def spec(self) -> str:
@@ -71,12 +75,15 @@ def gain_columns(reference: Reference) -> np.ndarray:
 
 def _bodies(reference: Reference) -> Iterator[Hypothesis]:
     """Something attached to a link or taken away: mass and first moments, or all ten parameters."""
-    robot, first, sizes = reference.robot, len(reference.solution), body_sizes(reference.robot)
+    robot, first = reference.robot, len(reference.solution)
+    typical, largest = [body_sizes(robot, PAYLOAD_MASS, share) for share in PAYLOAD_REACHES], body_sizes(robot, 1.0, 1.0)
     for joint in range(robot.n):
         effect = Payload(f"joint{joint + 1}", joint)
         columns = first + 10 * body_of(robot, joint) + np.arange(10)
-        for count in (4, 10):
-            yield Hypothesis(effect.name, effect.where, (effect,), columns[:count], sizes[:count])
+        free = Hypothesis(effect.name, effect.where, (effect,), columns, largest)
+        for sizes, count in product(typical, (4, 10)):
+            far = sizes is typical[-1]
+            yield Hypothesis(effect.name, effect.where, (effect,), columns[:count], sizes[:count], for_values=free, far=far)
 
 
 def _known(reference: Reference) -> Iterator[Hypothesis]:

@@ -31,8 +31,9 @@ WANDER_FACTORS = {1.0: 0.0, 2.0: -3.0, 4.0: -6.0}
 DISPERSIONS = np.geomspace(0.5, 8.0, 41)
 #: Sizes of a change as multiples of a typical one, equally likely beforehand; so no evidence hangs on one guess of a size.
 SIZES = (0.03, 0.1, 0.3, 1.0, 3.0)
-#: A payload is of the order of this share of the arm's mass, its middle this share of the arm's reach from the joint.
-_PAYLOAD_MASS, _PAYLOAD_REACH = 0.1, 0.1
+#: A payload is of the order of this share of the arm's mass; its middle is near the joint, or as far from it as the arm reaches:
+#: by these shares of the reach.
+PAYLOAD_MASS, PAYLOAD_REACHES = 0.1, (0.1, 1.0)
 
 
 def wander(effect: Effect, values: np.ndarray, robot: Robot) -> np.ndarray:
@@ -48,7 +49,7 @@ def wander(effect: Effect, values: np.ndarray, robot: Robot) -> np.ndarray:
     return np.where(free, FRICTION_SHARE * np.abs(values) + FRICTION_FLOOR * np.abs(effect.typical(robot)), 0.0)
 
 
-def body_sizes(robot: Robot) -> np.ndarray:
-    """Typical size of the ten parameters of something attached to a link (10,)."""
-    mass, arm = _PAYLOAD_MASS * mass_beyond(robot, None), _PAYLOAD_REACH * reach(robot)
+def body_sizes(robot: Robot, mass_share: float, reach_share: float) -> np.ndarray:
+    """Size of the ten parameters of something attached to a link (10,), by its shares of the arm's mass and reach."""
+    mass, arm = mass_share * mass_beyond(robot, None), reach_share * reach(robot)
     return mass * np.array([1.0, *(arm,) * 3, *(arm**2,) * 6])

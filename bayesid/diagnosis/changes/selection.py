@@ -58,6 +58,12 @@ class Selection:
         return Marginal(self.data, np.hstack(parts), mean, factor, WANDER_FACTORS[factor])
 
     @property
+    def for_values(self) -> Selection:
+        """The same changes with the priors by which their values are estimated."""
+        free = ((a, a.change.for_values) for a in self.accepted)
+        return replace(self, accepted=tuple(a if h is None else replace(a, change=h, size=1.0) for a, h in free))
+
+    @property
     def directions(self) -> tuple[slice, ...]:
         """Which of the directions of `marginal` are each change's."""
         start, out = self.tolerance[self.factor].shape[1], []
