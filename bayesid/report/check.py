@@ -160,9 +160,9 @@ def check_report(check: Inspection) -> str:
     ]  # fmt: skip
     rank = max((s.base.rank for s in check.sensor_sets if s.available), default=0)
     large = [
-        (str(robot.n), "joints that move", ""),
+        (str(robot.n), "joint that moves" if robot.n == 1 else "joints that move", ""),
         (f"{number(float(robot.nominal[:, 0].sum()), 4)} kg", "nominal mass of the moving links", ""),
-        (str(len(check.motions)), f"motions, {len(experiment.identification)} to be fitted", ""),
+        (str(len(check.motions)), f"motion{'s' * (len(check.motions) != 1)}, {len(experiment.identification)} to be fitted", ""),
         (str(rank), "base parameters that the recorded readings could show at most", ""),
     ]
     fine = "No warnings: the folder reads well and nothing in it looks doubtful."

@@ -315,6 +315,6 @@ def coverage_text(c: CoverageCertificate | None) -> str:
     least, most = percent(float(np.nanmin(c.coverage))), percent(float(np.nanmax(c.coverage)))
     return (
         f"Coverage of 95 % intervals on {c.twins} twins: {percent(c.overall)} ± {percent(1.96 * c.overall_error, 2)} overall, "
-        f"{least} to {most} by parameter; exact intervals keep to {percent(low)} … {percent(high)}: "
-        + ("they hold." if c.holds else "some are too short.")
+        f"{least} to {most} by parameter, where exact intervals would show {percent(low)} to {percent(high)}: "
+        + ("these hold." if c.holds else "some are too short.")
     )

@@ -12,6 +12,7 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.motion_checks import REPORTED, Timing
 from bayesid.results.files import ShownResult, strict
+from bayesid.results.text import counted
 from bayesid.section import ShownTable
 from bayesid.validation.mistakes.candidates import Mistake
 from bayesid.validation.own_fit import left_dict, left_text
@@ -148,13 +149,14 @@ class Inspection(ShownResult):
         })  # fmt: skip
 
     def __repr__(self) -> str:
-        found = f"{len(self.mistakes)} mistakes, {len(self.warnings)} warnings"
-        return f"<Inspection of {self.name}: {len(self.motions)} motions, {found}>"
+        found = f"{counted(len(self.mistakes), 'mistake')}, {counted(len(self.warnings), 'warning')}"
+        return f"<Inspection of {self.name}: {counted(len(self.motions), 'motion')}, {found}>"
 
     def _parts(self) -> list[str | ShownTable]:
         robot = self.experiment.robot
         lines: list[str | ShownTable] = [
-            f"{self.name}: {robot.n} joints, {len(robot.body_names)} bodies, {len(self.motions)} motions"
+            f"{self.name}: {counted(robot.n, 'joint')}, {counted(len(robot.body_names), 'body', 'bodies')}, "
+            f"{counted(len(self.motions), 'motion')}"
         ]
         lines += [f"warning: {w}" for w in self.warnings]
         for m in self.motions:
@@ -163,8 +165,8 @@ class Inspection(ShownResult):
             lines.append(
                 f"{m.motion.role} '{m.motion.name}': {len(m.motion.table)} {what}{rate}, "
                 f"columns {' '.join(m.columns)}, static {m.static}"
-                + (f", {len(m.gaps)} gaps" if m.gaps else "")
-                + (f", {m.timing.dropped} samples dropped" if m.timing and m.timing.dropped else "")
+                + (f", {counted(len(m.gaps), 'gap')}" if m.gaps else "")
+                + (f", {counted(m.timing.dropped, 'sample')} dropped" if m.timing and m.timing.dropped else "")
                 + (f", stamps jitter by {m.timing.jitter:.2g} s rms" if m.timing and m.timing.jitter > REPORTED / m.rate else "")
             )
             if m.noise_at_rest:

@@ -7,7 +7,7 @@ import numpy as np
 from bayesid.rounding import DASH, HALF, ends, interval, number, with_half, with_interval
 
 __all__ = [
-    "DASH", "HALF", "chance", "channel_text", "ends", "interval", "number", "percent", "with_half", "with_interval",
+    "DASH", "HALF", "chance", "channel_text", "counted", "ends", "interval", "number", "percent", "with_half", "with_interval",
 ]  # fmt: skip
 
 _CHANNELS = {"wrench": "sensor's wrench", "torque": "joint torques", "both": "sensor's wrench and joint torques"}
@@ -26,3 +26,8 @@ def percent(share: float, digits: int = 3) -> str:
 def chance(p: float) -> str:
     """A probability as per cent."""
     return "< 0.01 %" if p < 1e-4 else percent(p, 2)
+
+
+def counted(count: int, one: str, several: str = "") -> str:
+    """``1 motion``, ``2 motions``; what several are called where it is not one with an s."""
+    return f"{count} {one if count == 1 else several or f'{one}s'}"

@@ -103,7 +103,7 @@ def motions_apart(problem: Problem, estimate: Estimate, method: str | Estimator,
         others = estimate if len(rest) == len(problem.fitted) else _fit_of(problem, method, rest)
         if one is None or others is None:
             return None
-        return compare_estimates(f"motion {name}", one, f"motions {', '.join(rest)}", others)
+        return compare_estimates(f"motion {name}", one, f"motion{'s' * (len(rest) > 1)} {', '.join(rest)}", others)
 
     return [agreement for agreement in in_order(compared, problem.segments) if agreement is not None]
 

@@ -34,14 +34,14 @@ def unpredicted(predictions: Sequence[Prediction]) -> list[str]:
     if not off:
         return []
     worst = max(off, key=lambda p: p.relative_error)
-    said = f"an error of {100 * worst.relative_error:.3g} % of the signal below {BAND:.2g} Hz"
     if len(off) == 1:
+        said = f"an error of {100 * worst.relative_error:.3g} % of the signal below {BAND:.2g} Hz"
         first = f"Motion '{worst.motion}' is predicted with {said}: "
     else:
         best = min(p.relative_error for p in off)
         first = (
-            f"{len(off)} of {len(predictions)} motions that were not fitted are predicted with errors from {100 * best:.3g} % "
-            f"on; the worst is '{worst.motion}' with {said}: "
+            f"{len(off)} of {len(predictions)} motions that were not fitted are predicted with errors of {100 * best:.3g} to "
+            f"{100 * worst.relative_error:.3g} % of the signal below {BAND:.2g} Hz. '{worst.motion}' has the largest: "
         )
     return [f"{first}{judged(worst).text}. `{call('diagnose')}` looks for what is missing."]
 
@@ -70,10 +70,10 @@ def contradictions(agreements: Sequence[Agreement]) -> list[str]:
         if a.contradiction:
             kinds.setdefault(a.first.split()[0], []).append(a)
     out = []
-    for members in kinds.values():
+    for kind, members in kinds.items():
         a = max(members, key=lambda a: a.rms)
         names = listed((x.first.split(maxsplit=1)[-1] for x in members), 6)
-        more = "" if len(members) == 1 else f" (the worst of {len(members)} that contradict others: {names})"
+        more = "" if len(members) == 1 else f" (the worst of {len(members)} {kind}s that contradict others: {names})"
         out.append(
             f"{a.first[0].upper()}{a.first[1:]} and {a.second} contradict each other{more}: {a.rms:.3g} sigma rms over "
             f"{a.compared} numbers; most in {a.worst}. They are not noise apart; do not average them, but fit them "
