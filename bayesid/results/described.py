@@ -37,11 +37,14 @@ def terms_of(description: Description, names: tuple[str, ...]) -> list[tuple[str
 
 
 def shares(description: Description) -> str:
-    """What the draft closes on motions that it was not fitted to."""
+    """What the draft closes on motions that it was not fitted to, or on the half that nothing was chosen on."""
     gap = description.gap
     if gap is None:
         share = percent(min(description.terms[0].share, 1.0))
-        return f"{share} closed on the half of the recordings that the first term was not chosen on; no motion is unseen"
+        return (
+            f"the first term closes {share} of what was left on the half of the recordings that it was not chosen on; no "
+            "validation motion was compared"
+        )
     closed, low = (percent(min(v, 1.0)) for v in (gap.closed, gap.closed_low))
     return f"{closed} of the gap closed on {', '.join(gap.motions)}, at least {low}"
 
@@ -115,7 +118,7 @@ def write_draft(description: Description, experiment: Experiment, path: str | Pa
     said = [
         f"A description, not a name: a draft of what no effect of the library explains in '{experiment.name}'.",
         *(f"May be: {'; or '.join(causes)}." for causes in d.causes),
-        f"On motions that were not fitted: {shares(d)}.",
+        f"Tested: {shares(d)}.",
         f"bayesid identify FOLDER --model {DRAFT}",
         f"bayesid identify FOLDER --effects-from {DRAFT} --effects {','.join(effects)}",
         f"The draft is {spec}; give it a better name when you know what it is.",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.effects import Effect, Term
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
@@ -22,7 +23,8 @@ def fitted_model(
     """Effects and their values, as `bayesid.recordings.schema.write_model` takes them.
 
     Effects that act on other channels stay as the experiment has them, values included; all others get the values of ``terms``,
-    from which a fit that is given the file starts. What is fixed stays fixed.
+    from which a fit that is given the file starts. What is fixed stays fixed. Each effect is listed once: not at a joint where
+    its kind is listed for all of them, nor by a second name of the joint.
     """
     values: EffectParameters = {spec: dict(given) for spec, given in experiment.effect_values.items()}
     for term in terms:
@@ -33,7 +35,26 @@ def fitted_model(
         stated = next((experiment.effect_values[key] for key in keys if key in experiment.effect_values), {})
         found = {key: float(value) for key, value in zip(effect.parameters, term.values, strict=True)}
         values[effect.spec] = {**found, "fixed": True} if stated.get("fixed", False) else dict(found)
-    return tuple(dict.fromkeys(effects)), values
+    return _once(experiment, effects), values
+
+
+def _once(experiment: Experiment, specs: Iterable[str]) -> tuple[str, ...]:
+    """Specifications in their order without those whose effects are all among those of others: first of whole kinds."""
+    joints = experiment.robot.joint_names
+    channels = (*WRENCH_NAMES, *(f"tau{i + 1}" for i in range(len(joints))))
+    each: dict[str, set[str]] = {}
+    for spec in dict.fromkeys(specs):
+        try:
+            each[spec] = {e.spec for e in experiment.library.parse([spec], joints, channels, experiment.gear_ratio)}
+        except InputError:  # a formula that is handed on beside the library
+            each[spec] = {spec}
+    kept: list[str] = []
+    known: set[str] = set()
+    for spec in sorted(each, key=lambda s: -len(each[s])):  # stable: of names of the same effect the first stays
+        if not each[spec] <= known:
+            kept.append(spec)
+            known |= each[spec]
+    return tuple(spec for spec in each if spec in kept)
 
 
 def by_effect(row_model: RowModel, values: np.ndarray, std: np.ndarray) -> list[tuple[Effect, np.ndarray, np.ndarray]]:
