@@ -62,7 +62,8 @@ class DiagnosisData:
         None  # the noise of moving readings where it was measured by frequency, on repeats or at rest
     )
     held: frozenset[str] = frozenset()  # effects of the user's model, ``name@where``, whose values are kept
-    skipped: tuple[str, ...] = ()  # validation motions that cannot be compared
+    #: Validation motions that cannot be compared, and why.
+    skipped: tuple[tuple[str, str], ...] = ()
     settings: Settings = DEFAULT  # the thresholds
 
     @property
@@ -74,6 +75,11 @@ class DiagnosisData:
     def instants(self) -> bool:
         """Whether readings are taken for values at their times."""
         return any(s.instant for s in self.segments)
+
+    @property
+    def poses(self) -> bool:
+        """Whether poses at rest were fitted, in which nothing follows in time."""
+        return all(s.apart for s in self.segments)
 
     @property
     def offset_free(self) -> bool:

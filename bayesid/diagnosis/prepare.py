@@ -101,10 +101,11 @@ def prepare_data(
     rel_std = experiment.inertia_rel_std
     assumed = _UNKNOWN_REL_STD if rel_std is None else rel_std
     prior = None if rel_std == 0 else Prior.warped(experiment.robot.nominal, assumed)
-    for_validation = {m.name for m in experiment.motions if m.role == "validation" and m.kind == "trajectory"} - set(names)
+    compared = {s.motion for s in (*fitted, *others)}
+    left_out = [m for m in experiment.motions if m.role == "validation" and m.name not in {*names, *compared}]
     data = DiagnosisData(
         experiment, channel, channels, tuple(fitted), tuple(others), prior, tuple(terms), held=frozenset(held),
-        skipped=tuple(sorted(for_validation - {s.motion for s in others})), settings=settings,
+        skipped=tuple(sorted((m.name, _why_skipped(m, channel, at_rest, settings)) for m in left_out)), settings=settings,
     )  # fmt: skip
     with np.errstate(all="ignore"):
         finite = all(np.isfinite(data.predict(s, data.links, data.terms)).all() for s in data.segments)
@@ -112,6 +113,17 @@ def prepare_data(
         specs = ", ".join(t.effect.spec for t in data.terms)
         raise InputError(f"readings are not finite where {specs or 'the links'} start; state other values in [model.values]")
     return with_noise_of(data, data.links, data.terms, seed)
+
+
+def _why_skipped(motion: Motion, channel: str, at_rest: bool, settings: Settings) -> str:
+    """Why a validation motion cannot be compared, where poses ``at_rest`` or trajectories are fitted."""
+    poses = motion.kind == "poses"
+    if not has_readings(motion.table, channel):
+        return "the readings that are fitted are missing"
+    if poses != at_rest:
+        return "poses at rest are fitted, not trajectories" if at_rest else "trajectories are fitted, not poses at rest"
+    least = f"{settings.shortest_segment:g}"
+    return f"no more than {least} poses" if poses else f"no segment of {least} s without a gap"
 
 
 def _clear(experiment: Experiment, motions: Sequence[Motion], settings: Settings) -> list[float]:

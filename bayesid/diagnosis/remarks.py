@@ -8,7 +8,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from bayesid.arguments import argument
-from bayesid.diagnosis.data import WHITE
+from bayesid.diagnosis.data import WHITE, DiagnosisData
+from bayesid.diagnosis.forward import unrelated
 from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.noise_models import SOURCES
 from bayesid.diagnosis.rivals import explained
@@ -33,6 +34,14 @@ def by_kind(terms: Iterable[Term]) -> list[str]:
     return [f"{name}@{'+'.join(sorted(where))}" for name, where in places.items()]
 
 
+def held_out_text(data: DiagnosisData, parts: int) -> str:
+    """What is held out in turn where there are so many parts: whole motions, or parts of the only one to fit."""
+    motions = dict.fromkeys(s.motion for s in (*data.segments, *data.unseen))
+    if len(motions) == 1:
+        return "parts of the recording held out in turn"
+    return f"{'motions' if parts == len(motions) else 'parts of the recordings'} held out in turn"
+
+
 def remarks(
     search: Search,
     gap: Gap | None,
@@ -44,14 +53,15 @@ def remarks(
 ) -> tuple[str, ...]:
     """Everything worth knowing beside the verdict: why it is unknown first, then the noise, the model, validation, moments.
 
-    ``gap`` is that of the model that is handed on. ``part`` holds effects that held-out recordings prove, where that was asked,
+    ``gap`` is that of the model that is handed on, ``reason`` why its effects are not named without reserve. ``part`` holds
+    effects that held-out recordings prove, where that was asked,
     and ``worse`` says whether they make the validation motions worse once they are fitted to all others.
     """
     data = search.projector.data
     out = _unknown(search, reason) if verdict == "unknown" else []
     if verdict == "unknown" and part is not None:
         out.append(
-            f"On recordings held out in turn {', '.join(by_kind(f.term for f in part.search.found))} would close "
+            f"On {held_out_text(data, part.held_out_parts)} {', '.join(by_kind(f.term for f in part.search.found))} would close "
             f"{100 * (1.0 - part.remainder):.3g} % of the gap. "
             + (
                 "Fitted to all fitted motions they predict the validation motions no better"
@@ -63,11 +73,13 @@ def remarks(
     if verdict == "named_in_part" and part is not None and part.groups:
         each = "; ".join(f"{', '.join(g.channels)}: {100 * g.closed:.3g} % by {', '.join(g.effects)}" for g in part.groups)
         out.append(f"Much of the gap stays, but most of it is closed in the channels that these effects act in. {each}.")
+    if verdict == "named_in_part" and part is not None and not part.groups:
+        out += _in_part(search, reason)
     if data.floor_source != WHITE:  # the usual one needs no word
         out.append(SOURCES[data.floor_source])
     found = () if verdict == "unknown" else search.found
     out += _of_the_model(search, found, gap)
-    out += _of_the_validation(search, found, gap)
+    out += _of_the_validation(search, found, gap, part if verdict == "named_in_part" else None)
     if data.experiment.inertia_rel_std is None:
         out.append(
             "The prior relative standard deviation of the nominal inertias is not stated (inertia_rel_std): every rigid "
@@ -76,7 +88,8 @@ def remarks(
     if verdict == "nothing_missing":
         out += _of_the_links(search)
     if found or reason == "moment":
-        out += [moment_sentence(x, data.settings.accept) for x in stability if x is not None and x.rests_on is not None]
+        known = [x for x in stability if x is not None and x.rests_on is not None]
+        out += [moment_sentence(x, data.settings.accept, poses=data.poses) for x in known]
     return tuple(out)
 
 
@@ -97,6 +110,19 @@ def _unknown(search: Search, reason: Reason) -> list[str]:
             "the library does not have and that they imitate between them: not named."
         ]
     return []
+
+
+def _in_part(search: Search, reason: Reason) -> list[str]:
+    """Why effects are named in part only, although they leave no more than the noise."""
+    data = search.projector.data
+    why = {
+        "surrogates": f"there are {unrelated(data, [f.term for f in search.found])} unrelated effects, and more than "
+        f"{data.settings.likely_effects} at once may imitate between them one that the library does not have",
+        "denied": "the validation motions are not for certain predicted better with them",
+        "": "the search by log evidence alone ended at other effects, which leave more",
+    }.get(reason)
+    still = ", although what stays is no more than the noise" if data.floor_known else ""
+    return [f"Named in part{still}: {why}."] if why else []
 
 
 def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> list[str]:
@@ -124,6 +150,7 @@ def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> li
             "Dry friction fits better with readings as values at their times than as means over a sample's time, so they are "
             "taken for that."
         )
+    out += [sentence for f in found for sentence in _at_an_end(f.term)]
     hidden = gap is not None and not gap.closed_low > 0.0
     if found and hidden and all(f.term.effect.changes_link for f in found):
         count = search.projector.root.shape[1]
@@ -133,6 +160,22 @@ def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> li
             f"links' prior: the squared distance from the nominal links, in prior standard deviations, is {far:.3g} without it "
             f"and {near:.3g} with it, for {count} parameters."
         )
+    return out
+
+
+def _at_an_end(term: Term) -> list[str]:
+    """Which values lie at an end of the range in which they are sought, although readings may ask for others."""
+    effect, out = term.effect, []
+    each = zip(effect.quantities, term.values, effect.lower, effect.upper, effect.units, strict=True)
+    for p, value, lower, upper, unit in each:
+        for end, side, other in [(lower, "lower", "smaller"), (upper, "upper", "larger")]:
+            if not p.linear and np.isclose(value, end, rtol=1e-9, atol=0.0):
+                shown = f"{value:.3g}" if unit == "1" else f"{value:.3g} {unit}"
+                bounds = f"{lower:g} to {upper:g}" + ("" if unit == "1" else f" {unit}")
+                out.append(
+                    f"{effect.spec}: {p.name} {shown} is the {side} end of the range in which it is sought, {bounds}: a {other} "
+                    "one may fit better, and the interval does not count that."
+                )
     return out
 
 
@@ -163,50 +206,61 @@ def _of_the_links(search: Search) -> list[str]:
     ]
 
 
-def _of_the_validation(search: Search, found: Sequence[Found], gap: Gap | None) -> list[str]:
+def _of_the_validation(search: Search, found: Sequence[Found], gap: Gap | None, part: InPart | None) -> list[str]:
     """On the held-out motions."""
-    data, settings, out = search.projector.data, search.projector.data.settings, []
+    data, out = search.projector.data, []
     if gap is not None and gap.floor**2 > 2.0:
         out.append(
             "The unseen motions say little: a complete model would be off there by far more than the noise, for the fitted "
             "motions leave its parameters that uncertain."
         )
     if data.skipped:
-        out.append(
-            f"Not compared: {', '.join(data.skipped)}; a validation motion needs the same readings and a segment of "
-            f"{settings.shortest_segment:g} s without a gap."
-        )
+        reasons = dict.fromkeys(why for _, why in data.skipped)
+        each = [f"{', '.join(name for name, own in data.skipped if own == why)} ({why})" for why in reasons]
+        out.append(f"Not compared in the search: {'; '.join(each)}.")
     if found and gap is None:
-        out.append(
-            "No validation motion was compared: the effect is named on the fitted motions alone, and held-out validation is "
-            "missing."
-        )
+        one = len(found) == 1
+        if part is None:
+            what = "the effect is" if one else "the effects are"
+            out.append(f"Held-out validation is missing: {what} named on the fitted motions alone.")
+        else:
+            what, they = ("effect", "it is") if one else ("effects", "they are")
+            parts = held_out_text(data, part.held_out_parts)
+            out.append(f"No other motion validates the {what}: {they} confirmed on {parts}.")
     return out
 
 
-def moment_sentence(stability: Stability, needed: float) -> str:
-    """That an effect rests on one moment, where it needs so much log evidence."""
+def poses_text(start: float, end: float) -> str:
+    """``pose 23`` or ``poses 3 to 5`` of positions in the order of a table, which begin at zero."""
+    first, last = (round(x) + 1 for x in (start, end))
+    return f"pose {first}" if last <= first else f"poses {first} to {last}"
+
+
+def moment_sentence(stability: Stability, needed: float, *, poses: bool = False) -> str:
+    """That an effect rests on one moment, or on some ``poses`` of many, where it needs so much log evidence."""
     at = stability.rests_on
     if at is None:
         return ""
-    text = f"{stability.spec} rests on one moment, {at.start:.1f} to {at.end:.1f} s of ‘{at.motion}’: without it "
+    where = poses_text(at.start, at.end) if poses else f"one moment, {at.start:.1f} to {at.end:.1f} s"
+    them = "them" if poses and at.end > at.start else "it"
+    text = f"{stability.spec} rests on {where} of ‘{at.motion}’: without {them} "
     least = f"{stability.least:.0f}" if abs(stability.least) >= 100.0 else f"{stability.least:.3g}"
     least = least.replace("-", "−")
     if stability.least < needed:
         text += f"the log evidence is {least}, too little to name it."
     else:
         text += f"only {least} of the log evidence is left."
-    return f"{text} See what happened there, or record it again."
+    return f"{text} See what happened there, or record {them} again."
 
 
-def next_experiment(verdict: Verdict, found: Sequence[Found]) -> str:
-    """What to record next, in a sentence."""
+def next_experiment(verdict: Verdict, found: Sequence[Found], *, poses: bool = False) -> str:
+    """What to record next, in a sentence; of ``poses`` at rest where these were fitted."""
+    if poses:
+        return _next_poses(verdict, found)
     if verdict == "ambiguous":
-        pairs = [(f.term.effect.spec, ", ".join(t.effect.spec for t, _ in f.rivals)) for f in found if f.rivals]
-        names = "; ".join(f"{a} from {b}" for a, b in pairs)
         return (
-            f"To tell {names}: move other joints and repeat the motion at half and at full speed; effects that look alike "
-            "on one motion differ in how they grow with speed and change with posture."
+            f"To tell {_open_names(found)}: move other joints and repeat the motion at half and at full speed; effects that "
+            "look alike on one motion differ in how they grow with speed and change with posture."
         )
     if verdict in ("unknown", "named_in_part"):
         return (
@@ -217,3 +271,28 @@ def next_experiment(verdict: Verdict, found: Sequence[Found]) -> str:
     if verdict == "nothing_missing":
         return "Nothing is left to settle with these motions; faster motions of all joints would show smaller effects."
     return "Repeat the validation on a new motion with the effect in the model (model.toml), to see the smaller gap hold."
+
+
+def _open_names(found: Sequence[Found]) -> str:
+    """Effects and those that explain as much."""
+    pairs = [(f.term.effect.spec, ", ".join(t.effect.spec for t, _ in f.rivals)) for f in found if f.rivals]
+    return "; ".join(f"{a} from {b}" for a, b in pairs)
+
+
+def _next_poses(verdict: Verdict, found: Sequence[Found]) -> str:
+    """What to record next where poses at rest were fitted."""
+    if verdict == "ambiguous":
+        return (
+            f"To tell {_open_names(found)}: record other poses, with the sensor turned into other directions against gravity, "
+            "and the same poses with a known mass attached; effects that look alike at these poses differ in how they grow with "
+            "the load and change with its direction."
+        )
+    if verdict in ("unknown", "named_in_part"):
+        return (
+            "Record more poses, of one joint at a time and with two different loads: what stays with position is a spring, a "
+            "cable or a calibration; what grows with the load is a gain, a cross-talk or something that bends; what is the same "
+            "in all poses is an offset."
+        )
+    if verdict == "nothing_missing":
+        return "Nothing is left to settle with these poses; other poses and a heavier load would show smaller effects."
+    return "Repeat the validation on new poses with the effect in the model (model.toml), to see the smaller gap hold."

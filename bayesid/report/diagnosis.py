@@ -13,10 +13,11 @@ from bayesid.arguments import call
 from bayesid.diagnosis.data import WHITE, DiagnosisData, Episode
 from bayesid.diagnosis.description.columns import SegmentPart, parts_of
 from bayesid.diagnosis.description.describe import Description
+from bayesid.diagnosis.gap import LEAST_GAP
 from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.noise_models import SOURCES
 from bayesid.diagnosis.push import Push
-from bayesid.diagnosis.remarks import by_kind
+from bayesid.diagnosis.remarks import by_kind, held_out_text, poses_text
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.separation import Visible
 from bayesid.drawing import Figures, figures_of
@@ -175,14 +176,16 @@ def _stays(d: Diagnosis) -> list[ShownSection]:
     closed = zip(d.part.search.found, courses[1:], strict=True)
     steps = [("the model as it was", courses[0]), *((f.term.effect.spec, c) for f, c in closed)]
     still = "Where the model with these effects and the readings disagree most; the columns are explained below the next table."
-    return [ShownSection(f"What stays: {percent(d.part.remainder)}", [
+    held_out = held_out_text(d.data, d.part.held_out_parts)
+    title = "What stays: next to nothing" if d.part.remainder < LEAST_GAP else f"What stays: {percent(d.part.remainder)}"
+    return [ShownSection(title, [
         f"{part_sentence(d)} What a real robot does beyond any model follows the motion, so readings that follow each other "
         "do not count as independent, and an effect is named only if recordings that took no part are predicted better with "
         "it than without.",
         figure(waterfall(steps, floor, "noise" if floor else "noise, not known"),
-               "Mean square of the residual on recordings held out in turn, every channel in units of what the model as it "
+               f"Mean square of the residual on {held_out}, every channel in units of what the model as it "
                "was leaves of it; numbers are its root. Green: what an effect takes of the gap beside those above it."),
-        *([_places(d.remainder), note(still)] if d.remainder else []),
+        *([_places(d.remainder, d.data.poses), note(still)] if d.remainder else []),
     ], "What stays")]  # fmt: skip
 
 
@@ -198,31 +201,43 @@ def _where(d: Diagnosis, views: Views) -> ShownSection:
         " A run at rest is the static recording of the same motion." if any("at rest" in p.title for p in views.panels) else ""
     )
     panels = [(f"{p.title}, {'not fitted' if p.unseen else 'fitted'}", p.pieces, p.bands) for p in views.panels]
-    maps = residual_maps(channels, panels, [f"{low:g}–{high:g}" for low, high in views.bands], views.changed)
+    poses = d.data.poses
+    maps = residual_maps(channels, panels, [f"{low:g}–{high:g}" for low, high in views.bands], views.changed, poses)
+    each = "pose by pose" if poses else "in windows of one second and by frequency"
+    window = "pose" if poses else "window"
+    over = " and pose, numbered in the order of the table" if poses else ", time and frequency"
     parts: list[Part] = [
-        "What was measured less what the model predicts, in units of the noise, in windows of one second and by frequency. "
-        "White is noise, dark is many times as much; a dot marks a window that chance would give in fewer than one of a "
+        f"What was measured less what the model predicts, in units of the noise, {each}. "
+        f"White is noise, dark is many times as much; a dot marks a {window} that chance would give in fewer than one of a "
         f"thousand such recordings{sides}.{rests}",
-        figure(svg(maps, "maps"), f"Residual by channel, time and frequency.{at_rest} Channels are made independent of those "
+        figure(svg(maps, "maps"), f"Residual by channel{over}.{at_rest} Channels are made independent of those "
                                   "above them, so an error in one can show in those below."),
     ]  # fmt: skip
     if not d.where:
-        parts.append("In no channel, window or motion that was fitted is the residual larger than noise explains.")
+        parts.append(f"In no channel, {window} or motion that was fitted is the residual larger than noise explains.")
         return ShownSection(title, parts, "Where")
     parts += [
-        _places(d.where),
-        note("The model as it was, fitted motions, strongest places first. **Goes with**: the joint whose position, speed and "
+        _places(d.where, poses),
+        note("The model as it was, fitted poses, most out of the noise first. **Chance**: of as much noise at any of these "
+             "poses." if poses else
+             "The model as it was, fitted motions, strongest places first. **Goes with**: the joint whose position, speed and "
              "acceleration explain more than half of it; a **short event** or **tap** is in the readings themselves, of any "
              "motion, above the frequencies that are compared, in times of what is usual there. **Chance**: of as much noise "
              "anywhere in these recordings."),
         "Short places like these are not enough to name anything: no effect of the library explains them. A knock, a gap in "
         "the readings or a moment of fast motion at which the noise is larger than elsewhere looks like "
-        "this." if nothing else "",
+        "this." if nothing and not poses else "",
     ]  # fmt: skip
     return ShownSection(title, parts, "Where")
 
 
-def _places(places: Sequence[Disagreement]) -> ShownTable:
+def _places(places: Sequence[Disagreement], poses: bool) -> ShownTable:
+    if poses:
+        rows = [
+            [w.channel, w.motion, poses_text(w.start, w.end), number(w.ratio, 3), w.joint or DASH, chance(w.p_value)]
+            for w in places
+        ]
+        return ShownTable(["channel", "motion", "which", "× noise", "goes with", "chance"], rows, "kb - n nb - n", "narrow")
     rows = []
     for w in places:
         digits, (low, high) = 2 if w.event else 1, w.band_hz
@@ -237,7 +252,7 @@ def _places(places: Sequence[Disagreement]) -> ShownTable:
 
 def _found(d: Diagnosis) -> ShownSection:
     """What the effects are that were named."""
-    parts = []
+    parts, held_out = [], "" if d.part is None else held_out_text(d.data, d.part.held_out_parts)
     for k, f in enumerate(d.found):
         term, summary = f.term, f.term.effect.summary
         once = f"; it happened once, in {term.motion}" if isinstance(term, Episode) else ""
@@ -252,7 +267,7 @@ def _found(d: Diagnosis) -> ShownSection:
                            "moments of every moment tell it. The values above hold its mean, and model.toml a constant force "
                            "of that."),
             note(steady_sentence(f, d)),
-            note(f"Without it and with all others, {share} would be open again on recordings held out in turn." if share else ""),
+            note(f"Without it and with all others, {share} would be open again on {held_out}." if share else ""),
         ))  # fmt: skip
     end = note(
         "Fitted together with the links and with each other, by the effects' exact equations; intervals count what is not "
@@ -333,16 +348,21 @@ def _left(d: Diagnosis, views: Views) -> ShownSection:
         "Residual of every channel in per cent of its signal (logarithmic axis), as identify leaves it with either model; the "
         "sensor's own noise is not known."
     )
-    curves = [(f"{s.channel} [{s.unit}] below {s.below:g} Hz", s.times, s.measured, s.values, s.noise) for s in views.signals]
+    poses = d.data.poses
+    curves = [
+        (f"{s.channel} [{s.unit}]" + ("" if poses else f" below {s.below:g} Hz"), s.times, s.measured, s.values, s.noise)
+        for s in views.signals
+    ]
     end = "the effects named" if d.found else "the best attempt"
     models = f", with the model as it was and with {end}" if changed else ""
-    return ShownSection(f"{'Before and after' if changed else 'What is left'}{'' if d.gap is None else ' on unseen motions'}", [
-        "**There is no validation motion**: these are the fitted motions, and held-out validation is "
-        "missing." if d.gap is None else "",
+    where = "" if all(e.fitted for e in shown_errors(d)) else " on unseen motions"
+    which = "pose by pose" if poses else "at the frequencies where it stands out"
+    return ShownSection(f"{'Before and after' if changed else 'What is left'}{where}", [
+        _without_validation(d),
         figure(svg(channels_figure(d), "bars") if d.errors else "", in_noise if known else in_percent),
-        figure(svg(signals(curves, changed), "signals"),
-               f"Left: measured and predicted in {views.signals[0].motion}, in the channels that disagreed most, at the "
-               f"frequencies where it stands out{models}. Right: measured less predicted, on a scale of its own."),
+        figure(svg(signals(curves, changed, poses), "signals"),
+               f"Left: measured and predicted in {views.signals[0].motion}, in the channels that disagreed most, "
+               f"{which}{models}. Right: measured less predicted, on a scale of its own."),
         below(
             "In their own units, motion by motion",
             f"What `identify` leaves below 10 Hz{', with the model as it was and with the effects named' if d.found else ''}: "
@@ -350,6 +370,21 @@ def _left(d: Diagnosis, views: Views) -> ShownSection:
             _errors(d),
         ),
     ], "Before and after")  # fmt: skip
+
+
+def _without_validation(d: Diagnosis) -> str:
+    """Of which motions the numbers are where the search was validated on none."""
+    if d.gap is not None:
+        return ""
+    others = [f"‘{e.motion}’" for e in d.errors if not e.fitted]
+    if others:
+        return (
+            f"**The search was validated on no other motion.** What is left by channel is that of {listed(others)}, which took "
+            "no part in the fit; the courses below it are of fitted ones."
+        )
+    if d.data.skipped:
+        return "**No validation motion could be compared**: these are the fitted motions, and held-out validation is missing."
+    return "**There is no validation motion**: these are the fitted motions, and held-out validation is missing."
 
 
 def _errors(d: Diagnosis) -> ShownTable:
@@ -412,11 +447,12 @@ def _noise_floor(d: Diagnosis, views: Views) -> ShownSection:
          number(float(np.hypot(n.sensor, n.encoders)), 3), n.unit]
         for n in views.noise
     ]  # fmt: skip
+    grows = "" if d.data.poses else "; it grows steeply with frequency"
     sides = ("sensor", "encoders") if white else ("white part", "beyond it")
     head = ["channel", "sensor, one sample", *(f"{side}, in the band" for side in sides), "floor, in the band", "unit"]
     return ShownSection("Where the noise floor comes from", [
         f"{SOURCES[d.data.floor_source]} The encoders' share is made by repeating the prediction with other roundings and "
-        f"errors of the size that these encoders show; it grows steeply with frequency.{more}",
+        f"errors of the size that these encoders show{grows}.{more}",
         ShownTable(head, rows, "k n n n nb -", "narrow"),
     ], "Noise")  # fmt: skip
 
@@ -444,7 +480,8 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
         if known and d.part is None:
             large.append((f"{number(e.last.expected_rms, 3)} ×", "is what a complete model would leave", ""))
     if d.part is not None:
-        return [*large, (percent(d.part.remainder), "of the gap on recordings held out in turn stays unexplained", "")]
+        held_out = held_out_text(d.data, d.part.held_out_parts)
+        return [*large, (percent(d.part.remainder), f"of the gap on {held_out} stays unexplained", "")]
     if d.found and d.gap is not None and (closed := known_share(d.gap.closed)):
         low = known_share(d.gap.closed_low)
         least = f", at least {low} with 95 % confidence" if low else ""
@@ -562,10 +599,11 @@ def _how(d: Diagnosis) -> list[tuple[str, str]]:
     else:
         links = f"nominal links count as known to {percent(rel_std, 3)} of every mass (inertia_rel_std), and are fitted along"
     highest = max(x.frequencies[-1] for x in data.segments)
+    how_compared = "as cosines of the poses' order" if data.poses else f"as amplitudes by frequency, up to {highest:.3g} Hz"
     return [
         ("Model as it was", ", ".join(t.effect.spec for t in s.base.terms) or "rigid bodies only"),
         ("Links", links),
-        ("Compared", f"{s.projector.rows} numbers: readings as amplitudes by frequency, up to {highest:.3g} Hz"),
+        ("Compared", f"{s.projector.rows} numbers: readings {how_compared}"),
         ("Tried", f"{len(s.proposals)} effects and places, the best of them by exact fits, alone and together"),
         ("Weighted residual of the search", f"{number(float(np.sqrt(s.base.chi2 / s.projector.rows)), 3)} before, "
          f"{number(float(np.sqrt(s.best.chi2 / s.projector.rows)), 3)} after: channels and frequencies weighted by noise"),

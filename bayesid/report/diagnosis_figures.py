@@ -62,16 +62,17 @@ def residual_maps(
     panels: Sequence[tuple[str, Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], np.ndarray]],
     bands: Sequence[str],
     changed: bool,
+    poses: bool = False,
 ) -> Figure:
-    """Residuals in units of the noise: channel by time, before and after, and channel by frequency.
+    """Residuals in units of the noise: channel by time, before and after, and channel by frequency; of ``poses`` one by one.
 
     A panel is its title, pieces (edges (w + 1,) [s], ratios (w, c, 2), significant (w, c, 2)) and ratios by band (b, c, 2);
     ``changed`` says whether there is an "after".
     """
     sides = 2 if changed else 1
     count = len(channels)
-    widths = [2.0] * sides + [0.55 * sides + 0.25]
-    figure, axes = make_grid(len(panels), sides + 1, 0.17 * count + 0.35, left=0.65, right=1.15, gap=0.5, top=0.35,
+    widths = [2.0] * sides + ([] if poses else [0.55 * sides + 0.25])
+    figure, axes = make_grid(len(panels), len(widths), 0.17 * count + 0.35, left=0.65, right=1.15, gap=0.5, top=0.35,
                              width_ratios=widths)  # fmt: skip
     _spread(figure, len(panels), 0.17 * count + 0.35)
     top = max([_TOP, *(float(np.nanmax(r)) for _, pieces, _ in panels for _, r, _ in pieces)])
@@ -79,34 +80,25 @@ def residual_maps(
     middle, rows = np.arange(count), np.arange(count + 1) - 0.5
     mesh = None
     for line, (title, pieces, by_band) in zip(axes, panels, strict=True):
-        for k, ax in enumerate(line[:-1]):
+        for k, ax in enumerate(line[:sides]):
             for edges, ratio, marked in pieces:
                 mesh = ax.pcolormesh(edges, rows, np.maximum(ratio[..., k], 1.0).T, cmap=_HEAT, norm=scale, lw=0, rasterized=True)
                 at, channel = np.nonzero(marked[..., k])
                 ax.plot(0.5 * (edges[at] + edges[at + 1]), middle[channel], ".", ms=2.2, color="#0f172a", mew=0)
             ax.set_title(f"{title}: {('before', 'after')[k]}" if changed else title)
             ax.xaxis.set_major_locator(MaxNLocator(8))
-        shown = [by_band[..., k] for k in range(sides)]
-        ax = line[-1]
-        gap = np.full((1, count), np.nan)
-        stacked = np.concatenate([shown[0], gap, shown[1]]) if changed else shown[0]
-        columns = np.arange(len(stacked) + 1) - 0.5
-        ax.pcolormesh(columns, rows, np.maximum(stacked, 1.0).T, cmap=_HEAT, norm=scale, lw=0, rasterized=True)
-        names = [*bands, *([""] * changed), *(bands if changed else ())]
-        ax.set_xticks(np.arange(len(names)), names if line[0] is axes[-1, 0] else [""] * len(names), rotation=90, fontsize=7.5)
-        ax.tick_params(axis="x", length=0)
-        titles = {"left": "before", "right": "after"} if changed else {"center": "by frequency"}
-        for side, text in titles.items():
-            ax.set_title(text, loc=side)
+        if not poses:
+            _by_frequency(line[-1], by_band, bands if line[0] is axes[-1, 0] else [""] * len(bands), changed, scale)
         for ax in line:
             ax.set_yticks(middle, list(channels) if ax is line[0] else [])
             ax.set_ylim(count - 0.5, -0.5)
             ax.tick_params(axis="y", length=0)
             ax.grid(visible=False)
             ax.hlines(rows[1:-1], *ax.get_xlim(), color="#e2e8f0", lw=0.6)
-    for ax in axes[-1, :-1]:
-        ax.set_xlabel("time [s]")
-    axes[-1, -1].set_xlabel("frequency [Hz]")
+    for ax in axes[-1, :sides]:
+        ax.set_xlabel("pose" if poses else "time [s]")
+    if not poses:
+        axes[-1, -1].set_xlabel("frequency [Hz]")
     if mesh is not None:
         width, height = figure.get_size_inches()
         bar = figure.add_axes((1.0 - 0.95 / width, 0.5 - 0.6 / height, 0.13 / width, 1.2 / height))
@@ -115,6 +107,21 @@ def residual_maps(
         bar.grid(visible=False)
         bar.set_title("× noise", fontsize=8.5, fontweight="normal", pad=7)
     return figure
+
+
+def _by_frequency(ax: Any, by_band: np.ndarray, bands: Sequence[str], changed: bool, scale: LogNorm) -> None:
+    """Residuals by band (b, c, 2), before and after beside each other."""
+    stacked = by_band[..., 0]
+    if changed:
+        stacked = np.concatenate([stacked, np.full((1, stacked.shape[1]), np.nan), by_band[..., 1]])
+    columns, rows = (np.arange(n + 1) - 0.5 for n in stacked.shape)
+    ax.pcolormesh(columns, rows, np.maximum(stacked, 1.0).T, cmap=_HEAT, norm=scale, lw=0, rasterized=True)
+    names = [*bands, *([""] * changed), *(bands if changed else ())]
+    ax.set_xticks(np.arange(len(names)), names, rotation=90, fontsize=7.5)
+    ax.tick_params(axis="x", length=0)
+    titles = {"left": "before", "right": "after"} if changed else {"center": "by frequency"}
+    for side, text in titles.items():
+        ax.set_title(text, loc=side)
 
 
 def _spread(figure: Figure, rows: int, height: float) -> None:
@@ -192,7 +199,7 @@ def before_and_after(
 
 
 @styled
-def signals(rows: Sequence[tuple[str, np.ndarray, np.ndarray, np.ndarray, float]], changed: bool) -> Figure:
+def signals(rows: Sequence[tuple[str, np.ndarray, np.ndarray, np.ndarray, float]], changed: bool, poses: bool = False) -> Figure:
     """Measured beside predicted before and after, and what is left of each, in the channel's unit over the band of the noise.
 
     Parameters
@@ -202,6 +209,8 @@ def signals(rows: Sequence[tuple[str, np.ndarray, np.ndarray, np.ndarray, float]
         noise.
     changed
         Whether there is an "after".
+    poses
+        Whether times are the numbers of poses that do not follow each other.
     """
     figure, axes = make_grid(len(rows), 2, 1.15, left=0.65, top=0.5, sharex=True)
     models = [(0, BEFORE, "before"), (1, AFTER, "after")] if changed else [(0, BEFORE, "predicted")]
@@ -221,7 +230,7 @@ def signals(rows: Sequence[tuple[str, np.ndarray, np.ndarray, np.ndarray, float]
             ax.yaxis.set_major_locator(MaxNLocator(4))
             ax.margins(x=0.01)
     for ax in axes[-1]:
-        ax.set_xlabel("time [s]")
+        ax.set_xlabel("pose" if poses else "time [s]")
     handles, labels = (a + b for a, b in zip(*(ax.get_legend_handles_labels() for ax in axes[0]), strict=True))
     add_legend(axes, handles, labels)
     return figure

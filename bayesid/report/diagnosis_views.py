@@ -115,13 +115,14 @@ def _panels(pairs: list[tuple[SpectralSegment, np.ndarray, bool]], level: float)
         for s, w, u in group:
             sides = [by_window(s, w[..., k], 1.0, looked[u]) for k in (0, 1)]
             marks = [by_window(s, w[..., k], level, looked[u])[3] < s.settings.level for k in (0, 1)]
-            edges = s.times[np.minimum(sides[0][0], len(s.times) - 1)]
+            at = sides[0][0]
+            edges = at + 0.5 if s.apart else s.times[np.minimum(at, len(s.times) - 1)]  # poses are counted from one
             ratio = np.stack([np.sqrt(energy / freedom) for _, energy, freedom, _ in sides], axis=-1)
             pieces.append((edges, ratio, np.stack(marks, axis=-1)))
         counts = np.array([len(w) for _, w, _ in group], float)
         squares = np.stack([np.stack([by_band(s, w[..., k]) for k in (0, 1)], axis=-1) ** 2 for s, w, _ in group])
         bands = np.sqrt(np.average(squares, axis=0, weights=counts))
-        title = f"{motion}, the run at rest" if still else motion
+        title = f"{motion}, the run at rest" if still and not group[0][0].apart else motion
         out.append(ResidualPanel(title, group[0][2], tuple(pieces), bands))
     return tuple(out)
 
@@ -145,7 +146,11 @@ def _signals(diagnosis: Diagnosis, judged: list[tuple[SpectralSegment, np.ndarra
         kept = np.where(inside[below][:, None], np.column_stack([s.measured_readings[:, c], left[:, c]]), 0.0)
         course = s.samples(kept)
         noise = float(np.sqrt(np.sum(variance[inside[below]]) / len(s.times)))
-        out.append(SignalView(channels.names[c], channels.units[c], s.motion, s.times, course[:, 0], course[:, 1:], noise, below))
+        out.append(
+            SignalView(
+                channels.names[c], channels.units[c], s.motion, s.times + s.apart, course[:, 0], course[:, 1:], noise, below
+            )
+        )
     return tuple(out)
 
 

@@ -13,13 +13,15 @@ from bayesid.design.tell.choose import Telling
 from bayesid.diagnosis.candidates import Proposal
 from bayesid.diagnosis.data import DiagnosisData, Episode
 from bayesid.diagnosis.description.describe import Description
+from bayesid.diagnosis.gap import LEAST_GAP
 from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.push import Push
-from bayesid.diagnosis.remarks import by_kind
+from bayesid.diagnosis.remarks import by_kind, held_out_text, poses_text
 from bayesid.diagnosis.search import Found, Search
 from bayesid.diagnosis.stability import Stability
 from bayesid.diagnosis.validation import Gap
+from bayesid.diagnosis.verdict import Reason
 from bayesid.effects import Term
 from bayesid.effects.effect import Derived
 from bayesid.estimators.parameters import with_ends
@@ -29,7 +31,7 @@ from bayesid.results.files import Files, ShownResult
 from bayesid.results.fitted_model import fitted_model, placed
 from bayesid.results.telling import NEXT_MOTION, telling_dict
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
-from bayesid.section import Part, ShownTable, as_html
+from bayesid.section import Part, ShownTable, as_html, powers
 from bayesid.simulation.trajectories import write_trajectory
 from bayesid.validation.own_fit import MotionErrors
 from bayesid.validation.prediction import Prediction
@@ -79,6 +81,8 @@ class Diagnosis(ShownResult):
         A draft of what no effect explains; None where all is explained, or no motion that it was not chosen on confirms one.
     part
         What held-out recordings say of effects named in part; None for any other verdict.
+    reason
+        Why the verdict is ``unknown``, or not ``named`` but ``named_in_part``; empty for any other.
     remainder
         Where the model with the effects named in part and the data disagree.
     errors
@@ -100,6 +104,7 @@ class Diagnosis(ShownResult):
     telling: Telling | None = None
     description: Description | None = None
     part: InPart | None = None
+    reason: Reason = ""
     remainder: tuple[Disagreement, ...] = ()
     errors: tuple[MotionErrors, ...] = ()
 
@@ -117,13 +122,13 @@ class Diagnosis(ShownResult):
             known = self.part is not None and self.shares(k) is not None
             share = f"; without it {share_range(self, k)} is open again" if known else ""
             for key, value, half, _, unit in parameter_rows(self, k):
-                text = value if half == DASH else f"{value} ± {half} {unit}".rstrip()
+                text = value if half == DASH else f"{value} ± {half} {powers(unit)}".rstrip()
                 lines.append(f"  {f.term.effect.spec}: {key} {text}{share}")
                 share = ""
         if self.part is not None:
             lines.append(part_sentence(self))
         if self.gap is None:
-            lines.append("No motion that took no part in the fit was compared.")
+            lines.append(without_validation(self))
         elif self.found and self.part is None:
             motions, closed, least = ", ".join(self.gap.motions), known_share(self.gap.closed), known_share(self.gap.closed_low)
             if self.gap.difference < self.data.settings.detected**2:
@@ -136,7 +141,7 @@ class Diagnosis(ShownResult):
         word = "unexplained" if self.verdict == "nothing_missing" else "stays" if self.part is not None else "disagrees"
         places = self.where if self.part is None else self.remainder
         for w in places[:_SHOWN]:
-            lines.append(f"{word}: {disagreement_line(w)}")
+            lines.append(f"{word}: {disagreement_line(w, poses=self.data.poses)}")
         if len(places) > _SHOWN:
             lines.append(f"and in {len(places) - _SHOWN} more places")
         if self.description is not None:
@@ -153,7 +158,7 @@ class Diagnosis(ShownResult):
         if self.found:
             rows = [(f.term.effect.spec, *row) for k, f in enumerate(self.found) for row in parameter_rows(self, k)]
             parts.append(ShownTable(["effect", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n ku"))
-        parts += [disagreement_line(w) for w in self.where[:_SHOWN]]
+        parts += [disagreement_line(w, poses=self.data.poses) for w in self.where[:_SHOWN]]
         if self.description is not None:
             parts += described_lines(self.description, self.data.channels.names)
         return as_html([*parts, *notes(self), self.next_experiment])
@@ -308,10 +313,13 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     if d.verdict == "named_in_part":
         each = [_with_rivals(name, f, d) for name, f in zip(names, d.found, strict=True)]
         spelt = listed(each) if len(names) <= _SPELT_OUT else listed(by_kind(f.term for f in d.found))
-        return f"The model misses {count} that held-out recordings confirm, and more that stays unexplained: {spelt}."
+        by = "" if d.part is None else f" that {held_out_text(d.data, d.part.held_out_parts)} confirm"
+        more = d.part is None or d.reason == "residual" or bool(d.part.groups)
+        return f"The model misses {count}{by}{', and more that stays unexplained' if more else ''}: {spelt}."
     if d.verdict == "ambiguous":
         parts = [_with_rivals(name, f, d) for name, f in zip(names, d.found, strict=True)]
-        return f"The model misses {count}, but these motions do not tell every name apart: {'; and '.join(parts)}."
+        these = "poses" if d.data.poses else "motions"
+        return f"The model misses {count}, but these {these} do not tell every name apart: {'; and '.join(parts)}."
     return f"The model misses {count}: {' and '.join(names)}."
 
 
@@ -330,30 +338,30 @@ def part_sentence(diagnosis: Diagnosis) -> str:
     closes = f"{listed(by_kind(f.term for f in own))} {'closes' if len(own) == 1 else 'close'}"
     if len(own) == len(d.found):  # a push is no part of other recordings
         closes = "it closes" if len(own) == 1 else "they close"
-    text = (
-        f"With each of {part.held_out_parts} parts of the recordings held out in turn, {closes} "
-        f"{percent(1.0 - part.remainder)} of the gap and {percent(part.remainder)} stays"
-    )
+    none = part.remainder < LEAST_GAP
+    text = f"With each of {part.held_out_parts} {held_out_text(d.data, part.held_out_parts)}, {closes} "
+    text += "all of the gap" if none else f"{percent(1.0 - part.remainder)} of the gap and {percent(part.remainder)} stays"
     if part.courses[-1] == 0.0:
         text += ", the noise, which is not known, included"
     places = [w for w in d.remainder if not w.event]
     channels = listed(list(dict.fromkeys(w.channel for w in places))[:_CHANNELS_SAID])
     joints = listed(list(dict.fromkeys(w.joint for w in places[:_SHOWN] if w.joint)))
     if channels:
-        text += f", most of it in {channels}" + (f", and it goes with {joints}" if joints else "")
+        text += "; what still stands out of the noise is" if none else ", most of it"
+        text += f" in {channels}" + (f", and it goes with {joints}" if joints else "")
     return f"{text}."
 
 
 def validation_sentence(diagnosis: Diagnosis) -> str:
     """What unseen motions, or for want of any the fitted ones, say of it."""
     d, gap = diagnosis, diagnosis.gap
+    others = [f"‘{e.motion}’" for e in d.errors if not e.fitted]
+    of_others = f"On {listed(others)}, which took no part in any fit, {left_text(d)}." if others else ""
     if gap is None:
-        text = "No motion that took no part in the fit was compared." + (
-            f" On the fitted ones {left_text(d)}." if d.errors else ""
-        )
+        of_fitted = f"On the fitted {'ones' if len(d.errors) > 1 else 'one'} {left_text(d)}." if d.errors else ""
+        text = f"{without_validation(d)} {of_others or of_fitted}".rstrip()
         return f"{part_sentence(d)} {text}" if d.verdict == "named_in_part" else text
-    unseen = f"On {listed([f'‘{m}’' for m in gap.motions])}, which took no part in any fit,"
-    text = f"{unseen} {left_text(d)}." if d.errors else ""
+    text = of_others
     if d.verdict == "named_in_part":
         return f"{part_sentence(d)} {text}".rstrip()
     if d.verdict == "nothing_missing":
@@ -370,13 +378,21 @@ def validation_sentence(diagnosis: Diagnosis) -> str:
         text += f" The readings of these motions hardly depend on {what}, so they neither confirm nor deny {what}."
     elif closed := known_share(gap.closed):
         least = known_share(gap.closed_low)
-        text += f" That closes {closed} of the gap" + (f", at least {least}." if least else ".")
+        where = "" if len(others) == len(gap.motions) else f" on {listed([f'‘{m}’' for m in gap.motions])}"
+        text += f" That closes {closed} of the gap{where}" + (f", at least {least}." if least else ".")
     here = [f.term for f in d.found if isinstance(f.term, Episode)]
     if here and isinstance(here[0], Push):
         text += f" A push is in ‘{here[0].motion}’ alone; the other motions are explained without it."
     elif here:
         text += f" A contact happens once, here in ‘{here[0].motion}’, so other motions cannot confirm it."
     return text.strip()
+
+
+def without_validation(diagnosis: Diagnosis) -> str:
+    """That no motion validates what was found, and whether there are such motions at all."""
+    if any(not e.fitted for e in diagnosis.errors):
+        return "The search validated what it found on no other motion."
+    return "No motion that took no part in the fit was compared."
 
 
 def shown_errors(diagnosis: Diagnosis) -> tuple[MotionErrors, ...]:
@@ -495,12 +511,15 @@ def parameter_rows(diagnosis: Diagnosis, index: int) -> list[tuple[str, str, str
     return rows
 
 
-def disagreement_line(where: Disagreement) -> str:
-    """Channel, motion, time, band and joint of a disagreement."""
+def disagreement_line(where: Disagreement, *, poses: bool = False) -> str:
+    """Channel, motion, time, band and joint of a disagreement; of ``poses`` that do not follow each other, which of them."""
     w, (low, high) = where, where.band_hz
     if w.event:
         text = f"{w.channel} in {w.motion}, {w.start:.2f} to {w.end:.2f} s"
         return f"{text}: {number(w.ratio, 3)} x the usual level at {low:.3g} to {high:.3g} Hz, a {w.looks_like}"
+    if poses:
+        text = f"{w.channel} in {w.motion}, {poses_text(w.start, w.end)}: {number(w.ratio, 3)} x noise"
+        return text + (f", goes with {w.joint}" if w.joint else "")
     text = f"{w.channel} in {w.motion}{' at rest' if w.still else ''}, {w.start:.1f} to {w.end:.1f} s"
     text += f": {number(w.ratio, 3)} x noise, most at {low:g} to {high:g} Hz"
     return text + (f", goes with {w.joint}" if w.joint else "")

@@ -195,7 +195,7 @@ def _concluded(found: _Decided, seed: int, progress: Progress) -> Diagnosis:
     """The verdict on what was found, and everything that goes with it."""
     s, gap, decided, reason = found.search, found.gap, found.verdict, found.reason
     data: DiagnosisData = s.projector.data
-    part, tried, worse, stays = None, None, False, ()
+    part, tried, worse, stays, why = None, None, False, (), reason
     if decided != "unknown":
         s = found.sure
     else:  # the best attempt is shown as it is
@@ -211,6 +211,8 @@ def _concluded(found: _Decided, seed: int, progress: Progress) -> Diagnosis:
             stays = _places(s, s.best)
     named = () if decided == "unknown" else s.found
     parts = found.stability if part is None else _stability(s, named)
+    if part is not None:  # what speaks against naming them without reserve
+        why = verdict(evidence_of(s, gap, parts), data.settings)[1]
     return Diagnosis(
         data=data,
         verdict=decided,
@@ -219,10 +221,11 @@ def _concluded(found: _Decided, seed: int, progress: Progress) -> Diagnosis:
         where=_places(s, s.base),
         gap=gap,
         shifts=base_shifts(s) if named else (),
-        remarks=remarks(s, gap, decided, reason, parts, tried, worse),
-        next_experiment=next_experiment(decided, named),
+        remarks=remarks(s, gap, decided, why, parts, tried, worse),
+        next_experiment=next_experiment(decided, named, poses=data.poses),
         stability=parts if named else (),
         part=part,
+        reason=why,
         remainder=stays,
     )
 

@@ -96,7 +96,8 @@ def test_a_rejected_attempt_leaves_the_users_model_alone(robot):
 def test_a_validation_motion_that_cannot_be_compared_is_named(robot):
     motions = [motion(robot, seconds=6.0), motion(robot, "brief", "validation", seconds=1.9)]
     found = bayesid.diagnose(recorded(robot, motions, ("sensor_gain@fz",)))
-    assert found.gap is None and any("Not compared: brief" in r for r in found.remarks)
+    assert found.gap is None and found.data.skipped == (("brief", "no segment of 2 s without a gap"),)
+    assert any("brief (no segment of 2 s without a gap)" in r for r in found.remarks)
 
 
 def test_without_a_gap_there_is_no_share_of_it(robot):

@@ -21,7 +21,7 @@ from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scal
 from bayesid.diagnosis.in_part import ChannelGroup, InPart, _exact, _together
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
-from bayesid.diagnosis.remarks import remarks
+from bayesid.diagnosis.remarks import held_out_text, remarks
 from bayesid.diagnosis.search import Search, search
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.verdict import named_in_part
@@ -119,7 +119,26 @@ def test_it_is_told_in_words_and_in_the_report(diagnosis):
     report = diagnosis_report(diagnosis)
     assert "What stays" in report
     assert "the model as it was" in report
-    assert "more that stays unexplained" in diagnosis._repr_html_()
+    assert "more that stays unexplained" in diagnosis._repr_html_() and diagnosis.reason == "residual"
+
+
+def test_where_nothing_stays_the_reason_is_told_instead(diagnosis):
+    """Three unrelated effects that leave the noise: said so, and not that more stays."""
+    part = replace(diagnosis.part, courses=(*diagnosis.part.courses[:-1], diagnosis.part.courses[-2]))
+    said = replace(diagnosis, part=part, reason="surrogates", remainder=())
+    assert part.remainder == 0.0
+    for text in (str(said), said._repr_html_(), diagnosis_report(said)):
+        assert "stays unexplained:" not in text and "0 % stays" not in text and "all of the gap" in text
+    s = diagnosis.search
+    (why,) = [r for r in remarks(s, said.gap, "named_in_part", "surrogates", (), part) if "Named in part" in r]
+    assert "unrelated effects" in why
+
+
+def test_parts_of_one_recording_are_called_that(diagnosis):
+    data = diagnosis.data
+    assert held_out_text(data, 9) == "parts of the recordings held out in turn"
+    assert held_out_text(data, 2) == "motions held out in turn"
+    assert held_out_text(replace(data, unseen=()), 8) == "parts of the recording held out in turn"
 
 
 def test_model_with_the_names_keeps_the_smaller_gap(diagnosis, tmp_path):

@@ -12,6 +12,7 @@ import pytest
 import bayesid
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Sensor
+from bayesid.report.diagnosis import diagnosis_report
 from bayesid.simulation.trajectories import Trajectory
 from tests.simulated import experiment, puma2
 
@@ -71,4 +72,20 @@ def test_poses_that_leave_a_name_open_ask_for_no_planned_motion(shared: Callable
     diagnosis = bayesid.diagnose(shared("data/kuka-med-wrist"))
     assert diagnosis.verdict == "ambiguous" and diagnosis.found[0].rivals
     said = diagnosis.to_dict()
-    assert said["next_experiment"] and said["next_motion"] is None
+    assert "poses" in said["next_experiment"] and "speed" not in said["next_experiment"]
+    assert said["next_motion"] is None
+
+
+def test_trajectories_beside_fitted_poses_take_no_part_in_the_search_and_have_errors(shared: Callable[[str], Path]) -> None:
+    """What is said of motions agrees with what took part, poses are told by their number, and nothing of frequencies is said."""
+    diagnosis = bayesid.diagnose(shared("data/kuka-med-wrist"))
+    assert {(name, why) for name, why in diagnosis.data.skipped} == {
+        (name, "poses at rest are fitted, not trajectories") for name in ("baseline", "vibrations")
+    }
+    assert [e.motion for e in diagnosis.errors if not e.fitted] == ["baseline", "vibrations"]
+    text, page = str(diagnosis), diagnosis_report(diagnosis)
+    for said in (text, page, diagnosis._repr_html_()):
+        assert "No motion that took no part in the fit" not in said and "On the fitted one" not in said
+    assert "On ‘baseline’ and ‘vibrations’, which took no part in any fit" in page
+    assert "no validation motion" not in page
+    assert "pose 23:" in text and " Hz" not in text and "time [s]" not in page and "run at rest" not in page

@@ -7,7 +7,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from bayesid.diagnosis.remarks import _of_the_links
+from bayesid.diagnosis.remarks import _at_an_end, _of_the_links, moment_sentence
+from bayesid.diagnosis.stability import Moment, Stability
+from bayesid.effects import Term
+from bayesid.effects.friction import DahlFriction
 from bayesid.estimators.prior_check import CONFLICT
 
 
@@ -41,3 +44,18 @@ def test_the_mass_that_is_furthest_out_is_told():
     assert "lower, 19 kg, nominally 10" in text and "81" in text
     assert CONFLICT == 1e-3
     assert _of_the_links(_search(r, np.zeros(20))) == []
+
+
+def test_a_value_at_an_end_of_its_range_is_told():
+    """Of shape parameters alone: a level of nothing is an effect that is not there."""
+    effect = DahlFriction("joint2", 1)
+    assert _at_an_end(Term(effect, (0.0, 0.02))) == []
+    (low,), (high,) = (_at_an_end(Term(effect, (1.3, value))) for value in (1e-3, 1.0))
+    assert "dahl_friction@joint2: distance 0.001 rad is the lower end" in low and "smaller" in low
+    assert "upper end" in high and "larger" in high
+
+
+def test_poses_are_told_by_their_number():
+    at = Stability("sensor_gain@fz", 10, 3.0, Moment(2.0, 4.0, "still"), ((0.0, 1.0),))
+    assert "poses 3 to 5 of ‘still’" in moment_sentence(at, 12.0, poses=True)
+    assert "one moment, 2.0 to 4.0 s" in moment_sentence(at, 12.0)
