@@ -223,7 +223,7 @@ def test_gaps_are_found(puma):
     found = check(experiment(puma.robot, [replace(puma.motions[0], table=holed)], puma.sensor))
     (gap,) = found.motions[0].gaps
     assert gap[0] == pytest.approx(7.5, abs=0.01) and gap[1] == pytest.approx(8.5, abs=0.01)
-    assert "1 gaps" in str(found)
+    assert "1 gap" in str(found) and "1 gaps" not in str(found) and "1 motions" not in str(found)
     read(check_report(found))
 
 

@@ -13,6 +13,8 @@ from bayesid.errors import InputError
 from bayesid.recordings import whole
 from bayesid.recordings.whole import uninterrupted, whole_folder
 from bayesid.results.files import check_output, write_results
+from bayesid.results.fitted_model import fitted_model
+from tests.simulated import experiment, puma2
 
 
 def write(folder: Path, number: int) -> Path:
@@ -162,3 +164,11 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path):
     with pytest.raises(ValueError, match="JSON"):
         write_results(tmp_path / "out", {"a.json": {"x": float("inf")}}, {}, "")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_model_that_is_handed_on_lists_each_effect_once(tmp_path):
+    """A whole kind stands for its joints, a joint has one name, and a formula that is not in the library stays."""
+    arm = experiment(puma2(tmp_path), [])
+    given = ["coulomb_friction@joint2", "viscous_friction", "viscous_friction@joint1", "viscous_friction@joint2"]
+    given += ["coulomb_friction@joint2", "draft@joint1"]
+    assert fitted_model(arm, given, ())[0] == ("coulomb_friction@joint2", "viscous_friction", "draft@joint1")
