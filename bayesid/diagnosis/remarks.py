@@ -19,6 +19,7 @@ from bayesid.diagnosis.validation import Gap
 from bayesid.diagnosis.verdict import Reason, Verdict
 from bayesid.effects import Term
 from bayesid.estimators.prior_check import CONFLICT
+from bayesid.section import powers
 
 #: Share of a direction's prior variance that the data must explain for it to count.
 _CLEAR = 0.01
@@ -170,8 +171,8 @@ def _at_an_end(term: Term) -> list[str]:
     for p, value, lower, upper, unit in each:
         for end, side, other in [(lower, "lower", "smaller"), (upper, "upper", "larger")]:
             if not p.linear and np.isclose(value, end, rtol=1e-9, atol=0.0):
-                shown = f"{value:.3g}" if unit == "1" else f"{value:.3g} {unit}"
-                bounds = f"{lower:g} to {upper:g}" + ("" if unit == "1" else f" {unit}")
+                texts = (f"{value:.3g}", f"{lower:g} to {upper:g}")
+                shown, bounds = (f"{text}{'' if unit == '1' else f' {powers(unit)}'}" for text in texts)
                 out.append(
                     f"{effect.spec}: {p.name} {shown} is the {side} end of the range in which it is sought, {bounds}: a {other} "
                     "one may fit better, and the interval does not count that."

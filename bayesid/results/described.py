@@ -16,6 +16,7 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import dump_model
 from bayesid.results.fitted_model import fitted_model
 from bayesid.results.text import HALF, percent, with_half
+from bayesid.section import powers
 
 #: The file that it is written into beside a diagnosis.
 DRAFT = "draft_effect.toml"
@@ -61,7 +62,7 @@ def described_lines(description: Description, names: tuple[str, ...]) -> list[st
     rows = terms_of(d, names)
     lines = ["described by a draft, not named:"]
     for reading, text, value, half, unit in rows[:_LISTED]:
-        lines.append(f"  {reading} + ({value} ± {half}) {text}  [{unit}]")
+        lines.append(f"  {reading} + ({value} ± {half}) {text}  [{powers(unit)}]")
     if len(rows) > _LISTED:
         lines.append(f"  and {len(rows) - _LISTED} more, see {DRAFT}")
     lines.append(f"  draft: {shares(d)}")

@@ -468,7 +468,7 @@ def steady_sentence(found: Found, diagnosis: Diagnosis) -> str:
         if np.isfinite(low) and np.isfinite(high):
             # As many digits as tell the two ends apart.
             first, last = (with_half(v, max(0.2 * (high - low), 1e-6 * abs(value)))[0] for v in (low, high))
-            parts.append(f"{key} between {first} and {last}" + ("" if unit == "1" else f" {unit}"))
+            parts.append(f"{key} between {first} and {last}" + ("" if unit == "1" else f" {powers(unit)}"))
         else:
             parts.append(f"{key} not determined")
     least = f"{mine.least:,.0f}".replace(",", " ") if mine.least >= 100 else number(mine.least, 3)

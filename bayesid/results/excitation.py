@@ -17,7 +17,7 @@ from bayesid.design.excitation.series import FourierSeries
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.results.files import Files, ShownResult, strict
 from bayesid.results.text import number, percent
-from bayesid.section import ShownTable
+from bayesid.section import ShownTable, powers
 from bayesid.simulation.trajectories import Trajectory, write_trajectory
 
 SCHEMA = 1
@@ -246,7 +246,9 @@ class Excitation(ShownResult):
             rows.append([_KINDS[kind], use.where, f"{number(use.reached, 3)} {use.unit}", f"{number(use.limit, 3)} {use.unit}",
                          percent(use.ratio) if kind != "collision" else "kept" if use.kept else "broken"])  # fmt: skip
         lines.append(ShownTable(["nearest to its limit", "where", "reached", "allowed", "share"], rows))
-        lines += [f"expected standard deviation of {name}: {number(std, 3)} {unit}" for name, unit, std in self.quantities]
+        lines += [
+            f"expected standard deviation of {name}: {number(std, 3)} {powers(unit)}" for name, unit, std in self.quantities
+        ]
         if self.diagnosability is not None:
             seen = sum(e.smallest <= e.usual for e in self.diagnosability.effects)
             lines.append(f"effects that would be seen at their usual size: {seen} of {len(self.diagnosability.effects)}")

@@ -17,7 +17,7 @@ from bayesid.recordings.complaints import listed
 from bayesid.results.files import ShownResult, strict
 from bayesid.results.telling import chance
 from bayesid.results.text import DASH, number, percent
-from bayesid.section import Cell, Part, ShownSection, ShownTable
+from bayesid.section import Cell, Part, ShownSection, ShownTable, powers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -239,7 +239,7 @@ def effect_lines(report: SetReport) -> list[tuple[str, str]]:
     for name, members in groups.items():
         stds = sorted(e.std for e in members if e.std is not None)
         hidden = [e.name.rpartition(".")[0].partition("@")[2] for e in members if e.std is None]
-        unit = "" if members[0].unit == "1" else f" {members[0].unit}"
+        unit = "" if members[0].unit == "1" else f" {powers(members[0].unit)}"
         said = "" if not stds else f"± {number(stds[0], 3)}" + (f" to {number(stds[-1], 3)}" if len(stds) > 1 else "") + unit
         lost = f"not determined beside the links at {', '.join(hidden)}" if hidden else ""
         lines.append((name, "; ".join(part for part in (said, lost) if part)))

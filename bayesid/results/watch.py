@@ -11,7 +11,7 @@ from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison
 from bayesid.results.changes import change_dict, value_text
 from bayesid.results.files import ShownResult, strict
 from bayesid.results.text import DASH, number
-from bayesid.section import Cell, ShownTable
+from bayesid.section import Cell, ShownTable, powers
 from bayesid.validation.own_fit import left_dict
 from bayesid.validation.prediction import Prediction
 
@@ -174,4 +174,4 @@ class Watch(ShownResult):
 def _change_text(x: NamedChange) -> str:
     """``payload@joint6 m 2.78 ± 0.22 kg``."""
     name, text, half, _, unit = value_text(x.values[0])
-    return f"{x.change.spec} {name} {text}{'' if half == DASH else f' ± {half}'} {unit}".rstrip()
+    return f"{x.change.spec} {name} {text}{'' if half == DASH else f' ± {half}'} {powers(unit)}".rstrip()

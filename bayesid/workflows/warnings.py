@@ -10,6 +10,7 @@ from bayesid.arguments import argument, call
 from bayesid.estimators import Estimate
 from bayesid.recordings.complaints import listed
 from bayesid.regression.problem import Problem
+from bayesid.section import powers
 from bayesid.validation.cross_checks import Agreement
 from bayesid.validation.headline import judged, useless
 from bayesid.validation.prediction import BAND, Prediction
@@ -123,7 +124,9 @@ def impossible_signs(estimate: Estimate, problem: Problem) -> list[str]:
         return []
     names = [*base.names, *estimate.effect_names]
     units = [*base.units, *estimate.effect_units]
-    shown = [f"{names[k]} = {estimate.solution[k]:.3g} +- {estimate.full_std[k]:.2g} {units[k]}" for k in np.flatnonzero(never)]
+    shown = [
+        f"{names[k]} = {estimate.solution[k]:.3g} +- {estimate.full_std[k]:.2g} {powers(units[k])}" for k in np.flatnonzero(never)
+    ]
     kind = "Mass" if never[:rank].any() else "Friction"
     return [
         f"{kind} that cannot be negative is: {listed(shown, 4)}. Check signs, joint order and units of the readings, or whether "
@@ -155,7 +158,8 @@ def not_settled(problem: Problem, estimate: Estimate) -> list[str]:
         lost = known & ((away > stds[part]) | (stds[part] > high - low))
         if not (outside | lost).any():
             continue
-        shown = [f"{key} = {v:.3g} {unit}" for key, v, unit in zip(effect.parameters, values[part], effect.units, strict=True)]
+        each = zip(effect.parameters, values[part], effect.units, strict=True)
+        shown = [f"{key} = {v:.3g} {powers(unit)}" for key, v, unit in each]
         out.append(
             f"{effect.spec} did not settle: {listed(shown, 3)}. These motions do not tell it from other parameters, which "
             "are then not to be relied on, either. State what is known of it in [model.values], leave it out, or add motions "
