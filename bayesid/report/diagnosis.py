@@ -23,10 +23,17 @@ from bayesid.diagnosis.separation import Visible
 from bayesid.drawing import Figures, figures_of
 from bayesid.effects import Effect
 from bayesid.recordings.complaints import listed
-from bayesid.report.diagnosis_figures import before_and_after, evidence, push_course, residual_maps, signals, waterfall
+from bayesid.report.diagnosis_figures import (
+    before_and_after,
+    described_figure,
+    evidence,
+    push_course,
+    residual_maps,
+    signals,
+    waterfall,
+)
 from bayesid.report.diagnosis_views import Views, diagnosis_views
 from bayesid.report.excitation import PAIRS, motion_plot
-from bayesid.report.figures import MEASURED, PREDICTED, add_legend, make_grid, styled
 from bayesid.report.identification import mood_of
 from bayesid.report.page import below, bullets, cards, figure, fold, how, lead, note, page, svg, versions, warnings
 from bayesid.results.described import not_distinguished, shares, terms_of, use_line
@@ -41,6 +48,7 @@ from bayesid.results.diagnosis import (
     steady_sentence,
     validation_sentence,
     verdict_sentence,
+    which_motions,
 )
 from bayesid.results.files import report_of
 from bayesid.results.fitted_model import placed
@@ -50,8 +58,6 @@ from bayesid.section import Cell, Part, ShownSection, ShownTable
 from bayesid.validation.own_fit import MotionErrors
 from bayesid.validation.prediction import Prediction
 
-#: Points drawn of a recording.
-_POINTS = 3000
 #: Bars in the picture of the evidence, lines in the table of parameters that moved.
 _BARS, _SHIFTS = 14, 12
 #: Two traces that share more than this part of their energy look alike until the effect is large.
@@ -63,24 +69,6 @@ _VERDICTS = {
     "unknown": ("unknown", "bad"),
     "nothing_missing": ("nothing missing", "good"),
 }
-
-
-@styled
-def described_figure(panels: Sequence[tuple[str, str, np.ndarray, np.ndarray, np.ndarray]]) -> Figure:
-    """Draw each term in a panel of its own.
-
-    A panel is its title, name of the variable, its values (N,), what was measured less all the rest (N,), and what the term
-    says (N,).
-    """
-    figure, axes = make_grid(1, len(panels), 2.4, left=0.75, top=0.5, gap=0.6)
-    for ax, (title, variable, x, measured, said) in zip(axes[0], panels, strict=True):
-        thin = max(len(x) // _POINTS, 1)
-        ax.plot(x[::thin], measured[::thin], lw=1.8, color=MEASURED, rasterized=True, label="measured less all the rest")
-        ax.plot(x[::thin], said[::thin], lw=0.9, color=PREDICTED, rasterized=True, label="the term")
-        ax.set_title(title)
-        ax.set_xlabel(variable)
-    add_legend(axes, *axes[0, 0].get_legend_handles_labels())
-    return figure
 
 
 #: Other formulas that a line lists.
@@ -358,7 +346,7 @@ def _left(d: Diagnosis, views: Views) -> ShownSection:
     where = "" if all(e.fitted for e in shown_errors(d)) else " on unseen motions"
     which = "pose by pose" if poses else "at the frequencies where it stands out"
     return ShownSection(f"{'Before and after' if changed else 'What is left'}{where}", [
-        _without_validation(d),
+        which_motions(d),
         figure(svg(channels_figure(d), "bars") if d.errors else "", in_noise if known else in_percent),
         figure(svg(signals(curves, changed, poses), "signals"),
                f"Left: measured and predicted in {views.signals[0].motion}, in the channels that disagreed most, "
@@ -370,21 +358,6 @@ def _left(d: Diagnosis, views: Views) -> ShownSection:
             _errors(d),
         ),
     ], "Before and after")  # fmt: skip
-
-
-def _without_validation(d: Diagnosis) -> str:
-    """Of which motions the numbers are where the search was validated on none."""
-    if d.gap is not None:
-        return ""
-    others = [f"‘{e.motion}’" for e in d.errors if not e.fitted]
-    if others:
-        return (
-            f"**The search was validated on no other motion.** What is left by channel is that of {listed(others)}, which took "
-            "no part in the fit; the courses below it are of fitted ones."
-        )
-    if d.data.skipped:
-        return "**No validation motion could be compared**: these are the fitted motions, and held-out validation is missing."
-    return "**There is no validation motion**: these are the fitted motions, and held-out validation is missing."
 
 
 def _errors(d: Diagnosis) -> ShownTable:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayesid.report.charts import WIDTH, chart, text_width, write
-from bayesid.report.figures import GREY, NOISE, PREDICTED, add_legend, make_grid, plain_log, styled
+from bayesid.report.figures import GREY, MEASURED, NOISE, PREDICTED, add_legend, make_grid, plain_log, styled
 
 #: Colours: what is left, what is closed, what is neither.
 LEFT, CLOSED, OTHER, _DARK, _GRID = "#c2410c", "#0f766e", "#94a3b8", "#334155", "#e2e8f0"
@@ -249,4 +249,26 @@ def push_course(times: np.ndarray, force: np.ndarray, std: np.ndarray) -> Figure
     ax.set_xlabel("time [s]")
     ax.margins(x=0.01)
     add_legend(axes, *ax.get_legend_handles_labels())
+    return figure
+
+
+#: Points drawn of a term.
+_OF_A_TERM = 3000
+
+
+@styled
+def described_figure(panels: Sequence[tuple[str, str, np.ndarray, np.ndarray, np.ndarray]]) -> Figure:
+    """Draw each term in a panel of its own.
+
+    A panel is its title, name of the variable, its values (N,), what was measured less all the rest (N,), and what the term
+    says (N,).
+    """
+    figure, axes = make_grid(1, len(panels), 2.4, left=0.75, top=0.5, gap=0.6)
+    for ax, (title, variable, x, measured, said) in zip(axes[0], panels, strict=True):
+        thin = max(len(x) // _OF_A_TERM, 1)
+        ax.plot(x[::thin], measured[::thin], lw=1.8, color=MEASURED, rasterized=True, label="measured less all the rest")
+        ax.plot(x[::thin], said[::thin], lw=0.9, color=PREDICTED, rasterized=True, label="the term")
+        ax.set_title(title)
+        ax.set_xlabel(variable)
+    add_legend(axes, *axes[0, 0].get_legend_handles_labels())
     return figure

@@ -395,6 +395,21 @@ def without_validation(diagnosis: Diagnosis) -> str:
     return "No motion that took no part in the fit was compared."
 
 
+def which_motions(diagnosis: Diagnosis) -> str:
+    """Of which motions the numbers are where the search was validated on none."""
+    if diagnosis.gap is not None:
+        return ""
+    others = [f"‘{e.motion}’" for e in diagnosis.errors if not e.fitted]
+    if others:
+        return (
+            f"**The search was validated on no other motion.** What is left by channel is that of {listed(others)}, which took "
+            "no part in the fit; the courses below it are of fitted ones."
+        )
+    if diagnosis.data.skipped:
+        return "**No validation motion could be compared**: these are the fitted motions, and held-out validation is missing."
+    return "**There is no validation motion**: these are the fitted motions, and held-out validation is missing."
+
+
 def shown_errors(diagnosis: Diagnosis) -> tuple[MotionErrors, ...]:
     """Of the motions that were not fitted, or of all where there are none."""
     return tuple(e for e in diagnosis.errors if not e.fitted) or diagnosis.errors
