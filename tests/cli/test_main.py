@@ -50,6 +50,12 @@ def test_every_failure_is_one_line(error, status, says, folder, monkeypatch, cap
     assert len(told) == 1 and told[0].startswith("bayesid: ") and says in told[0]
 
 
+@pytest.mark.parametrize("module", ["bayesid", "bayesid.cli"])
+def test_the_package_runs_as_the_command(module):
+    done = subprocess.run([sys.executable, "-m", module, "--version"], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0 and bayesid.__version__ in done.stdout and not done.stderr
+
+
 def test_an_import_that_fails_is_one_line(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "bayesid.cli.verbs", None)
     assert main(["--help"]) == 1
