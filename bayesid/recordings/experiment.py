@@ -173,9 +173,12 @@ class Experiment(Plots):
         if not without:
             return []
         columns, names = columns_of([f"tau{j + 1}" for j in without]), listed([self.robot.joint_names[j] for j in without])
+        tables = [motion.table for motion in self.motions if motion.table.torques is not None]
+        lacking = [table.source for table in tables if not {*without} <= {*table.torque_joints}]
+        where = "any recording" if len(lacking) == len(tables) else f"{listed(lacking)}, so those of other recordings go unused"
         return [
             Finding(
-                f"{columns}: no torques of {names} in every recording; those of other joints "
+                f"{columns}: no torques of {names} in {where}; torques of other joints "
                 "are used, which say nothing of friction and rotors there and less of the links; record them, to know more"
             )
         ]

@@ -19,6 +19,7 @@ import numpy as np
 from bayesid.arguments import call
 from bayesid.errors import InputError, required
 from bayesid.recordings.complaints import cut, is_number, listed, one_line, suggest
+from bayesid.recordings.importing.found_columns import numbered
 from bayesid.recordings.importing.stream import FOREIGN, kind_of
 from bayesid.recordings.table import JOINT_GROUPS, WRENCH_COLUMNS, Table, check_increasing, of_every_joint, usable_rows
 from bayesid.recordings.toml_file import LARGEST
@@ -201,10 +202,10 @@ def column_groups(header: list[str], source: str, joints: int, wrench: bool) -> 
             groups[group] = columns
         elif len(missing) < len(columns):
             there = [column for column in columns if column in header]
-            meant = _meant(missing[0], header)
+            lacks, meant = next(((column, near) for column in missing if (near := _meant(column, header))), (missing[0], ""))
             if meant or group not in ("torques", "velocities", "commanded"):
                 raise InputError(
-                    f"{source}: column {missing[0]} is missing although {', '.join(there)} "
+                    f"{source}: column {lacks} is missing although {', '.join(there)} "
                     f"{'is' if len(there) == 1 else 'are'} there; {meant}write all of {columns[0]} ... {columns[-1]} or none"
                 )
             if group == "torques":
@@ -229,8 +230,9 @@ def column_groups(header: list[str], source: str, joints: int, wrench: bool) -> 
 
 
 def _meant(column: str, header: list[str]) -> str:
-    """The header's name for a missing column, where it differs by capitals or separators only."""
+    """The header's name for a missing column, where it differs by capitals, separators or another word for the quantity."""
     near = [name for name in header if re.sub(r"[^a-z0-9]", "", name.lower()) == column]
+    near = near or [name for name in header if (ours := numbered(name)) and f"{ours[0]}{ours[1]}" == column]
     return f'did you mean "{cut(near[0])}"? ' if near else ""
 
 

@@ -106,9 +106,21 @@ def test_it_goes_through_a_folder(arm: Experiment, tmp_path: Path) -> None:
     np.testing.assert_allclose(bayesid.identify(again).values, bayesid.identify(partial).values, rtol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["torque2", "Tau_2", "effort 2"])
+def test_a_torque_of_another_name_is_not_left_out(name: str, arm: Experiment, tmp_path: Path) -> None:
+    write_experiment(arm, tmp_path / "arm")
+    table = tmp_path / "arm" / "identification.csv"
+    pd.read_csv(table).rename(columns={"tau2": name}).to_csv(table, index=False)
+    with pytest.raises(InputError, match=f'identification.csv: column tau2 is missing.*did you mean "{name}"'):
+        load_experiment(tmp_path / "arm")
+
+
 def test_joints_are_those_of_every_recording(arm: Experiment) -> None:
     one = replace(arm, motions=(without(arm, 1).motions[0], arm.motions[1]))
     assert one.torque_joints == (0,)
+    named = tuple(replace(m, table=replace(m.table, source=f"{m.name}.csv"), examined=False) for m in one.motions)
+    (finding,) = replace(one, motions=named, warnings=(), findings=()).findings
+    assert "identification.csv" in finding.text and "validation.csv" not in finding.text
     with pytest.raises(InputError, match="no joint has torques in every recording"):
         motions = (without(arm, 1).motions[0], replace(without(arm, 0).motions[1], examined=False))
         replace(arm, motions=motions, warnings=(), findings=())

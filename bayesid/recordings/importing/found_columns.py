@@ -99,6 +99,13 @@ def find_columns(
     return Layout(tuple(names[k] for k in place), tuple(found))
 
 
+def numbered(name: str) -> tuple[str, int] | None:
+    """The quantity and the number of a column that is a word of a quantity with a number (``torque2``: tau, 2), else None."""
+    match = re.fullmatch(r"(.*?)[\s_./\-\[(]*(\d+)[\])]?", _bare(name))
+    quantity = _QUANTITY.get(match[1].lower()) if match else None
+    return (quantity, int(match[2])) if match and quantity else None
+
+
 def positions_of(streams: Sequence[Stream], stated: ColumnMap, joints: Sequence[str], source: str) -> dict[str, FoundColumn]:
     """Columns of the positions of joints that are not used, where their names say so."""
     columns = _Finder(streams, stated, source).by_name("q", joints)
