@@ -77,6 +77,8 @@ class Problem:
     static: str  # ``motion`` where a static run has been subtracted, ``joint`` where static readings are fitted along, ``none``
     #: The model's effects as they were named, ``name`` or ``name@where``; those nobody needs to name first.
     effects: tuple[str, ...] = ()
+    #: Effects of `FitOptions.effects` that show in none of these readings, and so are not in the model.
+    unseen: tuple[str, ...] = ()
 
     @property
     def row_model(self) -> RowModel:
@@ -146,6 +148,7 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
         fitted=names,
         static="none" if all(m.static is None for m in chosen) or channel == "torque" else ("motion" if subtract else "joint"),
         effects=structure.specs,
+        unseen=() if options.effects is None else structure.unseen,
     )
 
 

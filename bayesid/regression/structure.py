@@ -22,6 +22,7 @@ class Structure:
     specs: tuple[str, ...]  # the effects as they were named, ``name`` or ``name@where``; those nobody needs to name first
     effects: tuple[Effect, ...]  # those that act on the channels, at their places
     base: BaseParameters  # base parameters of the richest motion of this kind
+    unseen: tuple[str, ...]  # those of ``specs`` that show in none of the channels
     point: Point | None  # where readings are linearised; None where effects are plain columns beside the rigid ones
 
 
@@ -36,8 +37,9 @@ def model_structure(
     offset = any(s.offset for s in segments)
     if offset:
         specs = [*_unstated(experiment.library, channels, specs), *specs]
+    library, joints = experiment.library, experiment.robot.joint_names
     try:
-        effects = experiment.library.parse(specs, experiment.robot.joint_names, channels.names, experiment.gear_ratio)
+        effects = library.parse(specs, joints, channels.names, experiment.gear_ratio)
     except InputError as error:
         raise type(error)(f"{source}: {error}") from None
     base = structural_base(
@@ -47,7 +49,8 @@ def model_structure(
         offset=offset and any(not name.startswith("tau") for name in channels.names),
         at_rest=all(s.poses for s in segments),
     )
-    return Structure(tuple(specs), effects, base, _point(experiment, base, effects, segments))
+    unseen = tuple(spec for spec in specs if not library.parse([spec], joints, channels.names, experiment.gear_ratio))
+    return Structure(tuple(specs), effects, base, unseen, _point(experiment, base, effects, segments))
 
 
 def _unstated(library: EffectLibrary, channels: Channels, specs: Sequence[str]) -> list[str]:

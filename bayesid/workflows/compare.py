@@ -30,7 +30,7 @@ from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import predict
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.urdf_links import urdf_links
-from bayesid.workflows.warnings import incomplete, repeated_motions
+from bayesid.workflows.warnings import incomplete, repeated_motions, unseen_effects
 
 #: What is compared when nothing is asked for, as far as it is there: plain, default and efficient least squares,
 #: and one estimator each against outliers, against encoder noise and for bodies that can exist.
@@ -213,7 +213,7 @@ def _warnings(
     problem: Problem | None, weights: Weights, entries: Sequence[Entry], baselines: Sequence[Entry], tests: Sequence[HausmanTest]
 ) -> tuple[str, ...]:
     """What the user should know, most important first."""
-    out = []
+    out = [] if problem is None else unseen_effects(problem)
     done = [e for e in entries if e.estimate is not None]
     nominal = baselines[-1] if baselines else None
     out += repeated_motions(done[0].validation)

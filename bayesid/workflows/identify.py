@@ -38,6 +38,7 @@ from bayesid.workflows.warnings import (
     not_settled,
     repeated_motions,
     unpredicted,
+    unseen_effects,
     unusable,
 )
 
@@ -209,7 +210,14 @@ def _warnings(
     unexcited: Sequence[str],
 ) -> tuple[str, ...]:
     """What the user should know, most important first."""
-    out = [*conflicts(check), *not_settled(problem, estimate), *wrong, *repeated_motions(validation), *unpredicted(validation)]
+    out = [
+        *unseen_effects(problem),
+        *conflicts(check),
+        *not_settled(problem, estimate),
+        *wrong,
+        *repeated_motions(validation),
+        *unpredicted(validation),
+    ]
     if not validation:
         out.append(
             "No validation motion: nothing shows that the estimate holds for another motion. "

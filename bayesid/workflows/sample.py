@@ -40,7 +40,7 @@ from bayesid.validation.flexible import flexible_gaps
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
-from bayesid.workflows.warnings import incomplete, repeated_motions, unpredicted
+from bayesid.workflows.warnings import incomplete, repeated_motions, unpredicted, unseen_effects
 
 PRIORS = ("nominal", "flat")
 
@@ -273,7 +273,7 @@ def as_estimate(posterior: Posterior) -> Estimate:
 
 
 def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Prediction]) -> tuple[str, ...]:
-    out = conflicts(posterior.prior_check)
+    out = [*unseen_effects(problem), *conflicts(posterior.prior_check)]
     if not posterior.diagnosis.passed:
         out.append(
             f"The chains did not converge: {posterior.diagnosis.complaint()}. Do not use these draws as a posterior; "

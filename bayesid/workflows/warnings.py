@@ -10,12 +10,34 @@ from bayesid.arguments import argument, call
 from bayesid.estimators import Estimate
 from bayesid.recordings.complaints import listed
 from bayesid.regression.problem import Problem
+from bayesid.regression.readings import has_readings
 from bayesid.section import powers
 from bayesid.validation.cross_checks import Agreement
 from bayesid.validation.headline import judged, useless
 from bayesid.validation.prediction import BAND, Prediction
 
 _CERTAIN = 3.0  # standard deviations below zero
+
+
+def unseen_effects(problem: Problem) -> list[str]:
+    """Which of the effects that were asked for these readings do not show, in one line."""
+    if not problem.unseen:
+        return []
+    them = "it" if len(problem.unseen) == 1 else "them"
+    other = {"wrench": "torque", "torque": "wrench"}.get(problem.channel)
+    remedy = f"; those of {argument('channel', other)} may" if _recorded(problem, other) else ""
+    left_out = "so it is left out" if len(problem.unseen) == 1 else "so they are left out"
+    return [
+        f"{argument('effects', problem.unseen)}: the readings that are fitted ({problem.channel}) do not show {them}, "
+        f"{left_out}{remedy}."
+    ]
+
+
+def _recorded(problem: Problem, channel: str | None) -> bool:
+    """Whether the fitted motions have the readings of a channel."""
+    if channel is None or (channel == "wrench" and problem.experiment.sensor is None):
+        return False
+    return all(has_readings(problem.experiment[name].table, channel) for name in problem.fitted)
 
 
 def repeated_motions(predictions: Sequence[Prediction]) -> list[str]:

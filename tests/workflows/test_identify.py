@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -49,6 +50,17 @@ def test_truth_lies_in_the_intervals_and_the_validation_is_predicted_to_the_nois
     assert 0.9 < prediction.whitened_rms < 1.1 and 0.93 < prediction.coverage < 0.97
     assert prediction.repeats is None
     np.testing.assert_allclose(prediction.rmse_raw, [0.5] * 3 + [0.1] * 3, rtol=0.1)
+
+
+def test_effects_that_the_readings_do_not_show_are_named(tmp_path):
+    robot, sensor = puma2(tmp_path), Sensor()
+    arm = two_motions(robot, sensor, **NOISE)
+    fit = bayesid.FitOptions(channel="wrench", effects=["sensor_gain@fx", "viscous_friction", "coulomb_friction@joint1"])
+    for found in (bayesid.identify(arm, options=fit), bayesid.compare(arm, ["ols"], options=fit)):
+        said = [w for w in found.warnings if "viscous_friction" in w]
+        assert len(said) == 1 and "coulomb_friction@joint1" in said[0] and "sensor_gain" not in said[0]
+    stated = replace(arm, effects=("viscous_friction",))
+    assert not any("viscous_friction" in w for w in bayesid.identify(stated, channel="wrench").warnings)
 
 
 def test_offset_is_told_from_the_weight_by_the_nominal_mass(result):
