@@ -167,7 +167,8 @@ def comparison_report(result: Comparison) -> str:
             "looks best, right or wrong.",
             figure(svg(errors_figure(result), "predictions"),
                    f"Dot: all channels together; strokes: the channels. Left: error below {number(BAND, 2)} Hz in per cent of "
-                   "the reading, right: what is left in units of the noise, where the green line is perfect. On grey: the "
+                   "the reading, right: what is left in units of the noise, where the green line is perfect (empty where "
+                   "nothing tells the noise). On grey: the "
                    "nominal model, which the estimates should beat."),
         ], "Prediction"))  # fmt: skip
     below_line = " Below the line: effects beyond rigid bodies, estimated along." if result.regression.effect_names else ""
@@ -239,8 +240,15 @@ def _side_by_side(result: Comparison) -> ShownSection:
     ])  # fmt: skip
 
 
+def _noise_known(entry: Entry) -> bool:
+    """Whether something tells the noise of every motion that an entry is judged by."""
+    return all(p.noise_known for p in entry.predictions)
+
+
 def _score(entry: Entry) -> float:
-    """Residual over all motions that it is judged by in units of the noise: root mean square."""
+    """What an entry is judged by: residual over all motions in units of the noise, or the error where that is not known."""
+    if not _noise_known(entry):
+        return _error(entry)
     return float(np.sqrt(np.mean([p.whitened_rms**2 for p in entry.predictions])))
 
 
@@ -262,10 +270,10 @@ def _lead(result: Comparison) -> str:
     best = min(scores, key=lambda n: scores[n])
     ties = [n for n in scores if n != best and scores[n] <= (1 + _TIE) * scores[best]]
     where = "motions that were not fitted" if done[0].validation else "the fitted motions (there is no other)"
-    known = all(p.noise_known for p in done[0].predictions)
+    known = _noise_known(done[0])
 
     def left(entry: Entry) -> str:
-        return number(_score(entry), 3) if known else percent(_error(entry))
+        return number(_score(entry), 3) if known else percent(_score(entry))
 
     least = next(e for e in done if e.name == best)
     text = f"On {where}, {best} leaves least: {left(least)} {'times the noise' if known else 'of the signal'}"
@@ -290,11 +298,16 @@ def _cards(result: Comparison) -> list[tuple[str, str, str]]:
     large = []
 
     def times(entry: Entry, text: str) -> None:
-        large.append((f"{number(_score(entry), 3)} ×", text, mood_of(_score(entry))))
+        if _noise_known(entry):
+            large.append((f"{number(_score(entry), 3)} ×", text, mood_of(_score(entry))))
+        else:
+            moods = [judged(p).mood for p in entry.predictions]
+            large.append((percent(_score(entry)), text, "bad" if "bad" in moods else "fair"))
 
     if done[0].predictions:
         best, worst = min(done, key=_score), max(done, key=_score)
-        times(best, f"noise is left by the best prediction ({best.name}); 1 is perfect")
+        unit = "noise" if _noise_known(best) else "of the signal"
+        times(best, f"{unit} is left by the best prediction ({best.name}){'; 1 is perfect' * _noise_known(best)}")
         if worst is not best:
             times(worst, f"by the worst ({worst.name})")
     for e in result.baselines:
@@ -321,10 +334,12 @@ def errors_figure(result: Comparison | LoadedComparison, ax: Any = None) -> Figu
     motions = []
     for k in range(min(len(entries[0].predictions), _SHOWN_MOTIONS)):
         ps = [e.predictions[k] for e in entries]
+        times = [1.0 if p.noise_known else np.nan for p in ps]
         motions.append(
             (ps[0].motion, ps[0].channel_names,
              100 * np.array([p.nrmse for p in ps]), 100 * np.array([p.relative_error for p in ps]),
-             np.array([p.whitened_rms_by_channel for p in ps]), np.array([p.whitened_rms for p in ps]))
+             np.array([one * p.whitened_rms_by_channel for one, p in zip(times, ps, strict=True)]),
+             np.array([p.times_noise for p in ps]))
         )  # fmt: skip
     return errors_side_by_side([e.name for e in entries], len(result.baselines), motions, ax)
 

@@ -16,6 +16,7 @@ from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator, fi
 from bayesid.estimators.least_squares import LeastSquaresDetails
 from bayesid.estimators.nonlinear import settled
 from bayesid.estimators.weights import Weights, learn_weights
+from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
@@ -26,11 +27,12 @@ from bayesid.results.urdf_links import impossible_bodies
 from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
 from bayesid.validation.agreement import HausmanTest, gaps, hausman, nominal_estimates
+from bayesid.validation.headline import useless
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import predict
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.urdf_links import urdf_links
-from bayesid.workflows.warnings import incomplete, repeated_motions, unseen_effects
+from bayesid.workflows.warnings import incomplete, mistaken, quoted, repeated_motions, unseen_effects, unusable
 
 #: What is compared when nothing is asked for, as far as it is there: plain, default and efficient least squares,
 #: and one estimator each against outliers, against encoder noise and for bodies that can exist.
@@ -215,26 +217,15 @@ def _warnings(
     """What the user should know, most important first."""
     out = [] if problem is None else unseen_effects(problem)
     done = [e for e in entries if e.estimate is not None]
-    nominal = baselines[-1] if baselines else None
     out += repeated_motions(done[0].validation)
-    for k, p in enumerate(done[0].validation):
-        if nominal is None:
-            continue
-        yardstick = nominal.validation[k]
-        beaten = {
-            what: ", ".join(e.name for e in done if error(e.validation[k]) >= error(yardstick))
-            for what, error in (
-                ("in units of the noise", lambda q: q.whitened_rms),
-                ("in per cent of the signal", lambda q: q.relative_error),
-            )
-        }
-        model = "nominal model with its effects fitted" if len(baselines) > 1 else "nominal model"
-        for names in dict.fromkeys(n for n in beaten.values() if n):
-            where = " and ".join(what for what, those in beaten.items() if those == names)
-            out.append(
-                f"On '{p.motion}' the {model} predicts as well as or better than {names}, {where}: "
-                "keep the nominal parameters for such motions, or fit motions like it, too."
-            )
+    no_use: list[str] = []
+    if problem is not None:
+        every = [p for e in done for p in e.validation]
+        mistakes = mistaken(problem, every, False) if useless(every) else []
+        no_use = unusable(problem, every, mistakes)
+        out += mistakes
+    if baselines:
+        out += _beaten(done, baselines[-1], "nominal model with its effects fitted" if len(baselines) > 1 else "nominal model")
     if problem is not None and not done[0].validation:
         out.append(
             "No validation motion: the errors are those of fitted motions and say little about others. "
@@ -255,4 +246,30 @@ def _warnings(
             "something is missing in the model or in the noise, and intervals do not cover it. "
             f"`{call('diagnose')}` looks for it."
         )
-    return tuple(out) if problem is None else problem.experiment.with_findings(out)
+    return tuple(out) if problem is None else (*no_use, *problem.experiment.with_findings(out))
+
+
+def _beaten(done: Sequence[Entry], nominal: Entry, model: str) -> list[str]:
+    """Which estimators predict no better than the nominal model, in one line for all motions on which they are the same.
+
+    By the residual over the noise, where something tells the noise, and by the error relative to the signal.
+    """
+    measures = (("in units of the noise", lambda p: p.times_noise), ("in per cent of the signal", lambda p: p.relative_error))
+    motions: dict[tuple[str, str], list[str]] = {}
+    for k, yardstick in enumerate(nominal.validation):
+        beaten: dict[str, list[str]] = {}
+        for unit, error in measures:
+            names = [e.name for e in done if error(e.validation[k]) >= error(yardstick)]  # nan, of an unknown noise, never is
+            if names:
+                beaten.setdefault(listed(names), []).append(unit)
+        if beaten:
+            than = ", and than ".join(f"{names} {' and '.join(units)}" for names, units in beaten.items())
+            remedy = (
+                "neither is of use there" if useless([yardstick])
+                else "keep the nominal parameters for such motions, or fit motions like it, too"
+            )  # fmt: skip
+            motions.setdefault((than, remedy), []).append(yardstick.motion)
+    return [
+        f"On {quoted(names)} the {model} predicts as well as or better than {than}: {remedy}."
+        for (than, remedy), names in motions.items()
+    ]

@@ -142,7 +142,23 @@ def test_nominal_model_is_the_yardstick(robot, compared):
     # Links off by a fifth: worse than what is fitted.
     errors = [e.validation[0].whitened_rms for e in (*compared.baselines, compared.entries[1])]
     assert errors[0] > errors[1] > 2.0 and errors[2] == pytest.approx(1.0, abs=0.05)
-    assert any("as well as or better than halved," in w and "effects fitted" in w for w in compared.warnings)
+    assert any("as well as or better than halved in" in w and "effects fitted" in w for w in compared.warnings)
+
+
+def test_where_the_noise_is_not_known_the_error_alone_judges(compared):
+    nominal, best = compared.baselines[-1], next(e for e in compared.entries if e.name == "wls")
+
+    def with_noise(entry, source, white):
+        return replace(entry, validation=tuple(replace(p, noise_source=source, whitened_rms=white) for p in entry.validation))
+
+    known, unknown = (
+        module._beaten([with_noise(best, source, 2.0)], with_noise(nominal, source, 1.0), "nominal model")
+        for source in ("readings", "residuals")
+    )
+    assert len(known) == 1 and "wls in units of the noise" in known[0] and unknown == []
+    silent = replace(compared, entries=(with_noise(best, "residuals", 2.0),), baselines=(with_noise(nominal, "residuals", 1.0),))
+    text = read(comparison_report(silent)).text
+    assert "wls leaves least" in text and "times the noise" not in text
 
 
 def test_stated_values_of_effects_are_part_of_the_nominal_model(robot):
