@@ -16,6 +16,7 @@ from bayesid.results.inspection import Inspection, MotionSummary
 from bayesid.results.text import DASH, number, percent
 from bayesid.robot import inertia
 from bayesid.section import Part, ShownSection, ShownTable
+from bayesid.validation.headline import judged, useless
 from bayesid.validation.own_fit import left_text
 
 _LONGEST_NAME = 40
@@ -165,10 +166,18 @@ def check_report(check: Inspection) -> str:
         (str(len(check.motions)), f"motion{'s' * (len(check.motions) != 1)}, {len(experiment.identification)} to be fitted", ""),
         (str(rank), "base parameters that the recorded readings could show at most", ""),
     ]
-    fine = "No warnings: the folder reads well and nothing in it looks doubtful."
-    opening = [warnings(check.warnings, fine), lead(_lead(check)), cards(large)]
+    opening = [warnings(check.warnings, _fine(check)), lead(_lead(check)), cards(large)]
     kicker = "What the experiment folder contains, and what a fit would leave of it"
     return page(check.name, kicker, opening, sections, f"{check.name}: what is in the folder")
+
+
+def _fine(check: Inspection) -> str:
+    """What stands in the place of warnings: that nothing looks doubtful only where a fit leaves nothing but noise."""
+    off = [p for p in check.left if judged(p).mood != "good"]
+    if not off:
+        return "No warnings: the folder reads well and nothing in it looks doubtful."
+    worst = max(off, key=lambda p: p.relative_error)
+    return f"No warnings of the recordings; a fit of the model as it is would leave of ‘{worst.motion}’: {left_text(worst)}."
 
 
 def _lead(check: Inspection) -> str:
@@ -176,6 +185,8 @@ def _lead(check: Inspection) -> str:
     best = next((s for s in check.sensor_sets if s.available), None)
     reading = "sensor’s wrench" if check.channel == "wrench" else "joint torques"
     opening = "Something seems to be wrong with the data" if check.mistakes else "The folder reads well"
+    if not check.mistakes and useless([p for p in check.left if not p.fitted] or check.left):
+        opening = "The folder can be read, but the model as it is predicts its readings poorly"
     text = (
         f"{opening}: {check.experiment.robot.n} moving joints, {fitted} motion{'s' if fitted != 1 else ''} to fit "
         f"and {unfitted} to validate on. By default the {reading} will be fitted"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +14,16 @@ from bayesid.recordings.motion_checks import Timing
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import one_blas_thread
-from bayesid.regression.problem import prepare
+from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.readings import default_channel, make_channels
 from bayesid.results.inspection import InspectedReadings, Inspection, MotionSummary
 from bayesid.signals.smoothing import smooth
+from bayesid.validation.headline import useless
 from bayesid.validation.mistakes.search import find_mistakes
 from bayesid.validation.own_fit import fit_and_predict
 from bayesid.validation.prediction import Prediction
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
+from bayesid.workflows.warnings import lacks_drives, unpredicted, unusable
 
 _GROUPS = {"positions": "q", "velocities": "v", "commanded": "qr", "torques": "tau", "wrench": "wrench"}
 #: Samples of a long recording that speeds are taken from.
@@ -50,7 +53,7 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
     warnings: list[str] = []
     channel = default_channel(experiment)
     bandwidth, reason, position_std = None, "", np.full(experiment.robot.n, np.nan)
-    left: tuple[Prediction, ...] = ()
+    problem, left = None, ()
     try:
         experiment.library.parse(experiment.effects, experiment.robot.joint_names, [*WRENCH_COLUMNS, "tau1"])
     except InputError as error:
@@ -68,6 +71,8 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
     motions = tuple(_summary(m, bandwidth) for m in experiment.motions)
     progress("signs, frames and units")
     mistakes = find_mistakes(experiment)
+    if problem is not None and not mistakes:
+        warnings += _badly_predicted(problem, [p for p in left if not p.fitted])
     progress("base parameters")
     return Inspection(
         experiment=experiment,
@@ -81,6 +86,11 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
         left=left,
         warnings=experiment.with_findings([*(m.text for m in mistakes), *warnings]),
     )
+
+
+def _badly_predicted(problem: Problem, left: Sequence[Prediction]) -> list[str]:
+    """What `identify` would say of motions that it does not fit and that its model does not predict."""
+    return unusable(problem, left, [], takes_effects=False) if useless(left) and lacks_drives(problem) else unpredicted(left)
 
 
 def sample_noise(table: Table) -> dict[str, float]:

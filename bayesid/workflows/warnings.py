@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -69,21 +70,36 @@ def unpredicted(predictions: Sequence[Prediction]) -> list[str]:
     return [f"{first}{judged(worst).text}. `{call('diagnose')}` looks for what is missing."]
 
 
-def unusable(problem: Problem, predictions: Sequence[Prediction], mistakes: Sequence[str]) -> list[str]:
-    """That a fit is of no use, by predictions of unfitted motions and what `mistaken` found, and what to try first."""
+def unusable(
+    problem: Problem, predictions: Sequence[Prediction], mistakes: Sequence[str], takes_effects: bool = True
+) -> list[str]:
+    """That a fit is of no use, by predictions of unfitted motions and what `mistaken` found, and what to try first.
+
+    ``takes_effects``: whether the verb has the argument ``effects``.
+    """
     if not useless(predictions):
         return []
     errors = sorted(p.relative_error for p in predictions)
     size = f"{100 * errors[0]:.3g}" + (f" to {100 * errors[-1]:.3g}" if len(errors) > 1 else "")
     if mistakes:
         remedy = "Undo the mistake that is named below, then fit again"
-    elif problem.channel != "wrench" and not any(e.channels == ("torque",) for e in problem.row_model.effects):
+    elif lacks_drives(problem):
         drive = ["viscous_friction", "coulomb_friction", "rotor_inertia"]
-        remedy = f"The model has no effect of a drive: {argument('effects', drive)}, or the same in [model] effects, adds them"
+        given = (
+            f"{argument('effects', drive)}, or the same in [model] effects,"
+            if takes_effects
+            else f"[model] effects = {json.dumps(drive)}"
+        )
+        remedy = f"The model has no effect of a drive: {given} adds them"
     else:
         remedy = f"`{call('check')}` looks for wrong signs, units and joint order, `{call('diagnose')}` for what is missing"
     said = f"motions that were not fitted are predicted with an error of {size} % of the signal"
     return [f"This is no usable model: {said}. {remedy}."]
+
+
+def lacks_drives(problem: Problem) -> bool:
+    """Whether torques are fitted by a model that has no effect of a drive, which every drive has."""
+    return problem.channel != "wrench" and not any(e.channels == ("torque",) for e in problem.row_model.effects)
 
 
 def contradictions(agreements: Sequence[Agreement]) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,10 @@ import bayesid
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.recordings.experiment import load_setup
 from bayesid.regression.readings import make_channels
+from bayesid.report.check import check_report
 from bayesid.signals.smoothing import smooth
 from tests.malformed import lines, recording, table, toml, urdf, write_good
+from tests.report_pages import read
 
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 Damage = Callable[[Path], None]
@@ -146,7 +149,23 @@ def test_each_is_one_line_that_names_the_remedy(damage: Damage, says: tuple[str,
 
 
 def test_without_a_mistake_nothing_is_said(tmp_path: Path) -> None:
-    assert bayesid.check(bayesid.load_experiment(write_physical(tmp_path / "arm"))).warnings == ()
+    found = bayesid.check(bayesid.load_experiment(write_physical(tmp_path / "arm")))
+    assert found.mistakes == () and found.experiment.warnings == ()
+    # The static run takes gravity and the offset with it, and there is none for the validation motion: that is all.
+    (left,) = found.warnings
+    assert "'validation' is predicted with an error of" in left
+
+
+def test_nothing_looks_doubtful_only_where_a_fit_leaves_the_noise(tmp_path: Path) -> None:
+    found = bayesid.check(bayesid.load_experiment(write_physical(tmp_path / "arm")))
+    (fitted,) = (p for p in found.left if p.fitted)
+
+    def shown(whitened: float) -> str:
+        alone = replace(found, left=(replace(fitted, whitened_rms=whitened, expected_rms=1.0),), warnings=())
+        return read(check_report(alone)).text
+
+    assert "looks doubtful" in shown(1.0)
+    assert "looks doubtful" not in shown(30.0) and "30 times the noise" in shown(30.0)
 
 
 def test_there_are_thirty() -> None:
