@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 from urllib.error import HTTPError
 from urllib.request import urlopen
 
-from bayesid.arguments import argument
 from bayesid.errors import InputError, required
 from bayesid.recordings.complaints import suggest
 from bayesid.recordings.experiment import Experiment, load_experiment
@@ -234,7 +233,7 @@ def about(name: str) -> Dataset:
         There is none of that name.
     """
     if name not in DATASETS:
-        raise InputError(f"{argument('name', name)}: no such data set; {suggest(name, DATASETS, 'one of')}")
+        raise InputError(f"{name}: no such data set; {suggest(name, DATASETS, 'one of')}")
     return DATASETS[name]
 
 

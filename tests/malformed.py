@@ -270,7 +270,7 @@ CASES = [
     Malformed("unknown geared", toml("elbow = 100.0", "elbwo = 100.0"), ("gear_ratio", "elbwo", "elbow")),
     Malformed("unknown sensor joint", toml("[sensor]", '[sensor]\njoint = "wist"'), ("[sensor] joint", "wist", "wrist")),
     Malformed("misspelt role", toml('role = "identification"', 'role = "identifcation"'),
-              ("[motion.0] role", "identifcation", 'did you mean "identification"')),
+              ('[motion.0] role of "identification"', "identifcation", 'did you mean "identification"')),
     Malformed("unknown kind", toml("parked", 'kind = "pose"\nparked'), ("[motion.0] kind", "pose", "poses")),
     Malformed("nothing to identify", toml('role = "identification"', 'role = "validation"'), ("identification", "role")),
     Malformed("motion twice", toml('name = "validation"', 'name = "identification"'), ("[motion.1] name", "taken")),

@@ -126,7 +126,7 @@ def test_what_cannot_be_had_is_said_in_one_line(kuka, server, tmp_path, monkeypa
     register(monkeypatch, [RemoteFile("a", "http://127.0.0.1:9/a", 64 * "0", 1)], recipes.kuka_lwr4)
     with pytest.raises(bayesid.InputError, match="127.0.0.1:9/a cannot be fetched"):
         bayesid.datasets.fetch("arm", tmp_path / "cache")
-    with pytest.raises(bayesid.InputError, match='name="amr": no such data set; did you mean "arm"'):
+    with pytest.raises(bayesid.InputError, match='amr: no such data set; did you mean "arm"'):
         bayesid.datasets.fetch("amr")
     with pytest.raises(bayesid.InputError, match="kuka-med-wrist: is not fetched; make an experiment folder of what is at https"):
         bayesid.datasets.fetch("kuka-med-wrist")

@@ -49,10 +49,13 @@ def is_number(cell: Any) -> bool:
     return True
 
 
-def describe(error: ErrorDetails, keys: Mapping[tuple[str, ...], Iterable[str]], others: Iterable[str]) -> str:
+def describe(
+    error: ErrorDetails, keys: Mapping[tuple[str, ...], Iterable[str]], others: Iterable[str], data: Mapping[str, Any]
+) -> str:
     """Return ``[section] key: what is wrong; what to write`` for one pydantic error.
 
     ``keys`` are those that a section may have, by the path to it without list indices; ``others`` those of every other section.
+    ``data`` is what the file holds: an entry of a list (a motion) is called by its name.
     """
     where = [part for part in error["loc"] if part != "[key]"]
     # Trailing indices belong to the value (joints[2]), not to the section.
@@ -68,6 +71,9 @@ def describe(error: ErrorDetails, keys: Mapping[tuple[str, ...], Iterable[str]],
     if end == 2 and isinstance(where[1], int):  # the motion itself is not a table
         section, key = "", f"motion[{where[1]}]"
     place = f"[{section}] {key}" if section else key
+    if end > 2 and isinstance(where[1], int) and key != "name":
+        name = data[where[0]][where[1]].get("name") if isinstance(data[where[0]][where[1]], dict) else None
+        place += f' of "{cut(name)}"' if isinstance(name, str) else ""
     known = keys.get(names, others)
     return one_line(f"{place}: {_fault(error, str(where[-1]) if where else '', known)}")
 

@@ -90,4 +90,4 @@ def read_toml(path: Path, kind: type[File], keys: Keys, asked: str) -> File:
     except ValidationError as error:
         # A misspelt key often shows twice, as an unknown key and as a missing one: the first says more.
         details = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
-        raise InputError(f"{path.name}: {describe(details[0], keys, kind.model_fields)}") from None
+        raise InputError(f"{path.name}: {describe(details[0], keys, kind.model_fields, data)}") from None

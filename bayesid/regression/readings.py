@@ -28,7 +28,8 @@ def make_channels(experiment: Experiment, channel: str) -> Channels:
     if channel == "torque":
         return torque_channels(experiment.robot).only(experiment.torque_joints)
     if experiment.sensor is None:
-        raise InputError(f"experiment.toml: [sensor] is missing; add it, or use {argument('channel', 'torque')}")
+        toml = "experiment.toml" if experiment.folder is None else experiment.folder / "experiment.toml"
+        raise InputError(f"{toml}: [sensor] is missing; add it, or use {argument('channel', 'torque')}")
     rotation = pin.rpy.rpyToMatrix(*map(float, experiment.sensor.rpy))
     wrench = wrench_channels(experiment.robot, rotation, experiment.sensor.translation)
     if channel == "wrench":

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import bayesid
+from bayesid.arguments import call
 from bayesid.drawing import Plots, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
@@ -405,7 +406,8 @@ def _file_in(folder: Path) -> Path:
     if there:
         raise InputError(f"{folder}: holds {' and '.join(there)}; name one of them")
     if (folder / "experiment.toml").is_file():
-        raise InputError(f"{folder}: is an experiment, no result; bayesid.load_experiment reads it")
+        wrote = f"give the folder that a verb wrote, `{call('identify')}` for example"
+        raise InputError(f"{folder}: is an experiment, no result; {wrote}")
     raise InputError(f"{folder}: holds no result of bayesid; name a folder that a verb wrote")
 
 

@@ -228,7 +228,7 @@ def test_what_is_no_result_is_refused(loaded, arm, tmp_path):
     (tmp_path / "other.json").write_text("{}")
     (tmp_path / "broken.json").write_text("{")
     for path, said in (
-        (folder, "is an experiment, no result; bayesid.load_experiment reads it"),
+        (folder, "is an experiment, no result; give the folder that a verb wrote"),
         (tmp_path / "nowhere.json", "No such file"),
         (tmp_path, "holds no result of bayesid"),
         (both, "holds estimate.json and comparison.json; name one of them"),
