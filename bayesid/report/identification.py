@@ -302,8 +302,8 @@ def _identified(result: Identification) -> ShownSection:
                "lie outside the picture. Numbers as in the table."),
         ShownTable(head, rows, "nd w nb n ku n n t"),
         Html(f'<p class="note">{tag("alone")} one parameter of one link; {tag("combination")} a sum that only as a whole can be '
-             f"seen; {tag('weak')} known no better than the size of the body; {tag('prior')} the data say nothing, the nominal "
-             "value stands.</p>"),
+             f"seen; {tag('weak')} known no better than the size of the body; {tag('prior')} the data say next to nothing: the "
+             "value is the nominal one, moved only where what the data do say goes together with it.</p>"),
         *_effects(result),
     ], "Parameters")  # fmt: skip
 
@@ -406,7 +406,7 @@ def _limits(result: Identification) -> ShownSection:
         parts = [below(
             "Hidden by these motions",
             "Other motions of this robot could show these; the recorded ones do not, or not well enough to say more than the "
-            "size of the body does. Where the tables give a number, it is the nominal one (class prior) or one that is less "
+            "size of the body does. Where the tables give a number, it rests on the nominal one (class prior) or is less "
             "sure than the body is large (class weak): it should not be used by itself. Motions that move these links faster, "
             "or in other poses, would help.",
             single, bullets([label for label in result.unexcited if " " in label], sums=True),
@@ -574,7 +574,9 @@ def _how(result: Identification) -> list[tuple[str, str]]:
         ("Rows", f"{estimate.rows} numbers, {number(1.0 / problem.row_model.step, 3)} rows a second"), static,
         ("Noise", "autoregressive in time, correlated between channels; order "
          + ", ".join(f"{o} ({g})" for g, o in orders.items())),
-        ("Noise of a sample", "; ".join(sizes)),
+        ("Noise model, stationary standard deviation of a row", "; ".join(sizes) + ". It is learned from what the fit leaves, so "
+         "that model error counts as noise, and holds noise slower than the recording: it may exceed the residual, and the noise "
+         "of one sample of the sensor"),
         ("Residual of the fit", f"{number(estimate.residual_rms, 3)} times the noise; largest autocorrelation of whitened "
          f"residuals {number(estimate.whiteness, 2)} standard errors"),
         ("Condition number", f"{number(estimate.condition_number, 3)}, with columns of unit length"),

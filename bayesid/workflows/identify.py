@@ -224,7 +224,8 @@ def _warnings(
             'Add a motion with role = "validation".'
         )
     smoother = problem.smoother
-    if smoother.at_end and smoother.bandwidth >= 0.999 * smoother.automatic and smoother.reason != "as given":
+    moving = not all(s.poses for name in problem.fitted for s in problem.segments[name])  # poses at rest have no bandwidth
+    if moving and smoother.at_end and smoother.bandwidth >= 0.999 * smoother.automatic and smoother.reason != "as given":
         out.append(
             f"The bandwidth of the motion is {smoother.bandwidth:.3g} Hz, the end of the range searched: the positions hold more "
             f"than motion and white encoder noise up to there. Compare with {argument('bandwidth', 10)}; a difference says that "
