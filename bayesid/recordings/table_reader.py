@@ -19,7 +19,7 @@ import numpy as np
 from bayesid.arguments import call
 from bayesid.errors import InputError, required
 from bayesid.recordings.complaints import cut, is_number, listed, one_line, suggest
-from bayesid.recordings.importing.found_columns import numbered
+from bayesid.recordings.importing.column_map import numbered
 from bayesid.recordings.importing.stream import FOREIGN, kind_of
 from bayesid.recordings.table import JOINT_GROUPS, WRENCH_COLUMNS, Table, check_increasing, of_every_joint, usable_rows
 from bayesid.recordings.toml_file import LARGEST

@@ -40,6 +40,23 @@ _SPELT = {"nm": "N m", "degree": "deg", "degrees": "deg", "°": "deg", "°/s": "
           "sec": "s", "seconds": "s", "second": "s", "msec": "ms", "milliseconds": "ms", "µs": "us", "μs": "us", "usec": "us",
           "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "newton": "N", "rev": "turn", "rev/s": "turn/s",
           "amps": "A", "ampere": "A", "rads": "rad/s", "degs": "deg/s"}  # fmt: skip
+#: Words of each quantity; a joint's name or number stands beside them.
+_WORDS = {
+    "q": (
+        "q", "pos", "position", "positions", "angle", "angles", "actual_q", "joint_pos", "joint_position",
+        "joint_positions", "qpos",
+    ),
+    "v": (
+        "v", "qd", "dq", "vel", "velocity", "velocities", "actual_qd", "joint_vel", "joint_velocity",
+        "joint_velocities", "qvel",
+    ),
+    "qr": ("qr", "q_ref", "q_des", "q_d", "q_desired", "q_cmd", "target_q", "position_command", "commanded"),
+    "tau": ("tau", "effort", "efforts", "torque", "torques", "tau_j", "joint_torque", "joint_torques", "qfrc"),
+}  # fmt: skip
+#: The quantity of each word.
+QUANTITY_OF_WORD = {word: quantity for quantity, words in _WORDS.items() for word in words}
+#: A unit in brackets at the end of a name.
+UNIT_OF_NAME = re.compile(r"\s*[\[(]\s*([^\[\]()]+?)\s*[\])]$")
 
 
 class UnitSection(Section):
@@ -181,3 +198,17 @@ def column_map(columns: Columns, units: UnitSection, joints: Mapping[str, str], 
         if not isinstance(unit, str):
             raise InputError(f"{cut(str(unit))} is not a text", file=file, key=f"[units] {key}", value=unit, remedy='write "deg"')
     return ColumnMap(columns, given, units.scale, joints, file=file)
+
+
+def without_unit(column: str) -> str:
+    """A column's name without the unit that it states."""
+    match = UNIT_OF_NAME.search(column)
+    unit = match and not match[1].isdigit() and any(known_unit(quantity, match[1]) for quantity in UNITS)
+    return column[: match.start()] if match and unit else column
+
+
+def numbered(name: str) -> tuple[str, int] | None:
+    """The quantity and the number of a column that is a word of a quantity with a number (``torque2``: tau, 2), else None."""
+    match = re.fullmatch(r"(.*?)[\s_./\-\[(]*(\d+)[\])]?", without_unit(name))
+    quantity = QUANTITY_OF_WORD.get(match[1].lower()) if match else None
+    return (quantity, int(match[2])) if match and quantity else None

@@ -11,28 +11,22 @@ from functools import partial
 from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, listed, suggest
-from bayesid.recordings.importing.column_map import AXES, JOINT_QUANTITIES, UNITS, ColumnMap, known_unit, quantity_of
+from bayesid.recordings.importing.column_map import (
+    AXES,
+    JOINT_QUANTITIES,
+    QUANTITY_OF_WORD,
+    UNIT_OF_NAME,
+    ColumnMap,
+    known_unit,
+    quantity_of,
+    without_unit,
+)
 from bayesid.recordings.importing.stream import Stream
 from bayesid.recordings.table import WRENCH_COLUMNS
 
-#: Words of each quantity; a joint's name or number stands beside them.
-_WORDS = {
-    "q": (
-        "q", "pos", "position", "positions", "angle", "angles", "actual_q", "joint_pos", "joint_position",
-        "joint_positions", "qpos",
-    ),
-    "v": (
-        "v", "qd", "dq", "vel", "velocity", "velocities", "actual_qd", "joint_vel", "joint_velocity",
-        "joint_velocities", "qvel",
-    ),
-    "qr": ("qr", "q_ref", "q_des", "q_d", "q_desired", "q_cmd", "target_q", "position_command", "commanded"),
-    "tau": ("tau", "effort", "efforts", "torque", "torques", "tau_j", "joint_torque", "joint_torques", "qfrc"),
-}  # fmt: skip
-_QUANTITY = {word: quantity for quantity, words in _WORDS.items() for word in words}
 #: Parts of a name that say that a position is a command.
 _COMMAND = {"desired", "reference", "command", "commanded", "target", "setpoint", "action"}
 _TIME = re.compile(r"[%_\s]*(?:t|times?|time_?stamps?|stamps?)(?:[\s_]*(s|ms|us|ns|sec|seconds))?", re.IGNORECASE)
-_UNIT = re.compile(r"\s*[\[(]\s*([^\[\]()]+?)\s*[\])]$")
 _AXIS = re.compile(r"(?:(?P<force>f|force)|(?P<moment>m|t|moment|torque))[\s/._]?(?P<axis>[xyz])", re.IGNORECASE)
 _SEPARATORS = " /._-:[]()"
 
@@ -99,13 +93,6 @@ def find_columns(
     return Layout(tuple(names[k] for k in place), tuple(found))
 
 
-def numbered(name: str) -> tuple[str, int] | None:
-    """The quantity and the number of a column that is a word of a quantity with a number (``torque2``: tau, 2), else None."""
-    match = re.fullmatch(r"(.*?)[\s_./\-\[(]*(\d+)[\])]?", _bare(name))
-    quantity = _QUANTITY.get(match[1].lower()) if match else None
-    return (quantity, int(match[2])) if match and quantity else None
-
-
 def positions_of(streams: Sequence[Stream], stated: ColumnMap, joints: Sequence[str], source: str) -> dict[str, FoundColumn]:
     """Columns of the positions of joints that are not used, where their names say so."""
     columns = _Finder(streams, stated, source).by_name("q", joints)
@@ -122,13 +109,13 @@ def time_column(stream: Stream, stated: ColumnMap, source: str) -> tuple[str, st
             what = listed([f'"{cut(name)}"' for name in wanted])
             raise InputError(f"no column {what}", file=source, key="columns t", value=given, remedy=_near(wanted[0], [stream]))
     else:
-        names = [column for column in stream.columns if _TIME.fullmatch(_bare(column))]
-        names = names or [column for column in stream.columns if _TIME.fullmatch(_bare(column).rpartition("/")[2])]
+        names = [column for column in stream.columns if _TIME.fullmatch(without_unit(column))]
+        names = names or [column for column in stream.columns if _TIME.fullmatch(without_unit(column).rpartition("/")[2])]
         names = [column for column in names if column == "t"] or names
     if len(names) != 1:
         what = f"times could be {listed(names)}" if names else "no column of times is found"
         raise InputError(what, file=source, remedy=f"name it ({argument('columns')} t=NAME); {_shown([stream])}")
-    matched = _TIME.fullmatch(_bare(names[0]))
+    matched = _TIME.fullmatch(without_unit(names[0]))
     by_name = _stated_unit(names[0], "t") or (known_unit("t", matched[1]) if matched and matched[1] else None)
     return names[0], stated.unit("t") or by_name
 
@@ -175,7 +162,7 @@ class _Finder:
         names = self.stated.names_of(joints)
         for stream in self.streams:
             for column in stream.columns:
-                kind, k = _classified(_bare(column), names)
+                kind, k = _classified(without_unit(column), names)
                 if kind == quantity:
                     found[k].append((stream, column))
         for k, places in found.items():
@@ -191,9 +178,9 @@ class _Finder:
         groups: dict[tuple[int, str], dict[int, tuple[Stream, str]]] = defaultdict(dict)
         for at, stream in enumerate(self.streams):
             for column in stream.columns:
-                match = re.fullmatch(r"(.*?)[\s_./\-\[(]*(\d+)[\])]?", _bare(column))
+                match = re.fullmatch(r"(.*?)[\s_./\-\[(]*(\d+)[\])]?", without_unit(column))
                 word = re.split(r"[/.\s]", match[1].lower())[-1] if match else ""
-                if match and _QUANTITY.get(word) == quantity and not (quantity == "q" and _tokens(match[1]) & _COMMAND):
+                if match and QUANTITY_OF_WORD.get(word) == quantity and not (quantity == "q" and _tokens(match[1]) & _COMMAND):
                     groups[at, match[1]][int(match[2])] = (stream, column)
         whole = [g for g in groups.values() if sorted(g) in (list(range(len(g))), list(range(1, len(g) + 1)))]
         fitting = [g for g in whole if len(g) == len(joints)]
@@ -233,7 +220,7 @@ class _Finder:
         groups: dict[tuple[int, str], dict[str, tuple[Stream, str]]] = defaultdict(dict)
         for at, stream in enumerate(self.streams):
             for column in stream.columns:
-                bare = _bare(column)
+                bare = without_unit(column)
                 match = re.search(rf"(?:^|[\s/._]){_AXIS.pattern}$", bare, re.IGNORECASE)
                 if match:
                     axis = ("f" if match["force"] else "m") + match["axis"].lower()
@@ -325,7 +312,7 @@ def _classified(name: str, joints: Sequence[str]) -> tuple[str, int]:
             rest = [re.split(r"[/.\s]", low[: -len(j)].strip(_SEPARATORS))[-1], *tokens]
         else:
             continue
-        kinds = {_QUANTITY[part] for part in rest if part in _QUANTITY}
+        kinds = {QUANTITY_OF_WORD[part] for part in rest if part in QUANTITY_OF_WORD}
         if len(kinds) == 1:
             (kind,) = kinds
             if tokens & _COMMAND:
@@ -338,16 +325,9 @@ def _tokens(name: str) -> set[str]:
     return {part for part in re.split(r"[/.\[\]()\s:]+", name.lower()) if part}
 
 
-def _bare(column: str) -> str:
-    """A column's name without the unit that it states."""
-    match = _UNIT.search(column)
-    unit = match and not match[1].isdigit() and any(known_unit(quantity, match[1]) for quantity in UNITS)
-    return column[: match.start()] if match and unit else column
-
-
 def _stated_unit(column: str, quantity: str) -> str | None:
     """The unit in brackets at the end of a column's name, where it is one of the quantity."""
-    match = _UNIT.search(column)
+    match = UNIT_OF_NAME.search(column)
     return known_unit(quantity, match[1]) if match and not match[1].isdigit() else None
 
 
