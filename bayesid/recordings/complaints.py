@@ -72,7 +72,8 @@ def describe(
         section, key = "", f"motion[{where[1]}]"
     place = f"[{section}] {key}" if section else key
     if end > 2 and isinstance(where[1], int) and key != "name":
-        name = data[where[0]][where[1]].get("name") if isinstance(data[where[0]][where[1]], dict) else None
+        entry = data[str(where[0])][where[1]]
+        name = entry.get("name") if isinstance(entry, dict) else None
         place += f' of "{cut(name)}"' if isinstance(name, str) else ""
     known = keys.get(names, others)
     return one_line(f"{place}: {_fault(error, str(where[-1]) if where else '', known)}")

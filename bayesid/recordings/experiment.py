@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+_UNVALIDATED = 'no motion has role "validation"'
+
 __all__ = ["WRENCH_COLUMNS", "Experiment", "Motion", "Sensor", "Table", "load_experiment"]
 
 
@@ -323,10 +325,14 @@ class Experiment(Plots):
             for m in self.motions
         )  # fmt: skip
 
-    def with_findings(self, notes: Iterable[str]) -> tuple[str, ...]:
-        """What is certain about the recordings, then what a verb has to say, then what is doubtful about the recordings."""
+    def with_findings(self, notes: Iterable[str], *, validated: bool = True) -> tuple[str, ...]:
+        """What is certain about the recordings, then what a verb has to say, then what is doubtful about the recordings.
+
+        ``validated``: False where the verb says itself that there is no motion for validation, which is then said once.
+        """
         certain = [finding.text for finding in self.findings]
-        return tuple([*certain, *notes, *(text for text in self.warnings if text not in certain)])
+        doubts = [text for text in self.warnings if text not in certain and (validated or _UNVALIDATED not in text)]
+        return tuple([*certain, *notes, *doubts])
 
     @property
     def identification(self) -> tuple[Motion, ...]:
@@ -531,7 +537,7 @@ def _check_roles(motions: Sequence[Motion], remedy: str) -> list[str]:
     warnings = []
     if not any(motion.role == "validation" for motion in motions):
         place = "experiment.toml: " if remedy == "add one" else ""
-        warnings.append(f'{place}no motion has role "validation"; {remedy}, to test the estimate on a held-out motion')
+        warnings.append(f"{place}{_UNVALIDATED}; {remedy}, to test the estimate on a held-out motion")
     for one, other in itertools.combinations(motions, 2):
         same = len(one.table) == len(other.table) and np.array_equal(one.table.positions, other.table.positions)
         if same and one.role != other.role and np.array_equal(one.table.times, other.table.times):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -10,14 +9,13 @@ from typing import Any
 import numpy as np
 
 from bayesid.drawing import Figures, figures_of
-from bayesid.dynamics.base_parameters import BaseParameters, notation
 from bayesid.recordings.complaints import listed
 from bayesid.regression.problem import Problem
 from bayesid.report.accuracy_figures import certificate_section
 from bayesid.report.identification_figures import bandwidth_sensitivity, intervals_figure
+from bayesid.report.identification_limits import limits_section
 from bayesid.report.page import (
     below,
-    bullets,
     cards,
     figure,
     fold,
@@ -190,7 +188,7 @@ def identification_report(result: Identification) -> str:
             *_motions(motions, lambda p, name: (figure(svg(residuals(p), f"{name}-residuals"), _residual_caption(p)),)),
         ], "Residuals"),
         _errors(result),
-        _limits(result),
+        limits_section(result),
         _links(result),
         _agreement(result),
         *_both_ways(result),
@@ -395,61 +393,6 @@ def _error_table(p: Prediction, role: str) -> Html:
     repeats = f" This motion repeats the fitted ‘{p.repeats}’." if p.repeats else ""
     text = f"{percent(p.coverage)} of residuals in their 95 % prediction interval.{repeats}"
     return below(_title(p, role), table, note(text))
-
-
-def _limits(result: Identification) -> ShownSection:
-    """What these motions, and these readings, do not show."""
-    base, problem = result.estimate.base, result.problem
-    single = ", ".join(label for label in result.unexcited if " " not in label)
-    parts: list[Part] = ["Nothing that these readings can show at all was hidden by the motions."]
-    if result.unexcited:
-        parts = [below(
-            "Hidden by these motions",
-            "Other motions of this robot could show these; the recorded ones do not, or not well enough to say more than the "
-            "size of the body does. Where the tables give a number, it rests on the nominal one (class prior) or is less "
-            "sure than the body is large (class weak): it should not be used by itself. Motions that move these links faster, "
-            "or in other poses, would help.",
-            single, bullets([label for label in result.unexcited if " " in label], sums=True),
-        )]  # fmt: skip
-    if base.invisible:
-        gravity = " (with the static run subtracted, nor does what only gravity would show)" if problem.static == "motion" else ""
-        parts.append(below(
-            "Invisible to these readings",
-            f"No motion whatever shows these {len(base.invisible)} parameters in the {channel_text(problem.channel)}: they "
-            f"influence no reading{gravity}. Only the nominal model tells them.",
-            bullets(_by_body(base.invisible)),
-        ))  # fmt: skip
-    if absorbed := _absorbed(base):
-        parts.append(below(
-            "What the unknown sensor offset costs",
-            "Nothing here measures the sensor's offset by itself, so it is estimated along, and what acts on the sensor like a "
-            "constant offset cannot be told from it: it is taken up by the offset instead of by the base parameters. A static "
-            "run, or a reading of the unloaded sensor, would give it back. An offset that is estimated contains, beside the "
-            "true offset:",
-            ShownTable(["axis", "contains besides"], absorbed, "- w"),
-        ))  # fmt: skip
-    return ShownSection("What could not be identified", parts)
-
-
-def _by_body(names: Sequence[str]) -> list[str]:
-    """``joint1.m, joint1.mcx`` as ``joint1: m, mcx``."""
-    bodies: dict[str, list[str]] = {}
-    for name in names:
-        body, _, kind = name.rpartition(".")
-        bodies.setdefault(body, []).append(kind)
-    return [f"{body}: {', '.join(kinds)}" if body else ", ".join(kinds) for body, kinds in bodies.items()]
-
-
-def _absorbed(base: BaseParameters) -> list[list[str]]:
-    """What an estimated offset contains besides the true one, axis by axis."""
-    if base.absorbed is None:
-        return []
-    rows, names = [], notation(base.parameter_names)
-    for axis, row in zip(("fx", "fy", "fz", "mx", "my", "mz"), base.absorbed, strict=False):
-        parts = [f"{'-' if row[k] < 0 else '+'} {abs(row[k]):.4g} {names[k]}" for k in np.flatnonzero(row)]
-        if parts:
-            rows.append([axis, re.sub(r"^- ", "-", " ".join(parts).removeprefix("+ "))])
-    return rows
 
 
 def _links(result: Identification) -> ShownSection:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -38,6 +39,17 @@ from bayesid.validation.prediction import BAND, Prediction, predict, predict_els
 SCHEMA = 1
 
 
+@dataclass(frozen=True)
+class NotShown:
+    """What the fitted readings do not show, by why not."""
+
+    motions: tuple[str, ...] = ()  # labels of combinations that other motions of this robot could show
+    static_run: tuple[str, ...] = ()  # labels of those that subtracting the static run takes away, whatever the motion
+    fitted_along: tuple[str, ...] = ()  # those of ``static_run`` that are shown where the run is fitted along
+    effects: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # effects of the model that take them, by label
+    invisible: tuple[str, ...] = ()  # names of parameters that no motion shows
+
+
 @dataclass(frozen=True, eq=False)
 class Identification(PlotsPredictions, HasEstimate, Result):
     """What `identify` found.
@@ -57,8 +69,8 @@ class Identification(PlotsPredictions, HasEstimate, Result):
     offset
         Constant reading of the sensor (6,), its standard deviation (nan where the nominal mass it rests on has
         no stated standard deviation), or None without one.
-    unexcited
-        Parameters that other motions of this robot could show and these cannot.
+    not_shown
+        Parameters that the fitted readings do not show, by why not.
     warnings
         What the user should know, most important first.
     seconds
@@ -83,7 +95,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
     agreements: tuple[Agreement, ...]
     static_alternative: Estimate | None
     offset: tuple[np.ndarray, np.ndarray] | None
-    unexcited: tuple[str, ...]
+    not_shown: NotShown
     warnings: tuple[str, ...]
     seconds: dict[str, float]
     prior_check: PriorCheck | None = None
@@ -91,6 +103,11 @@ class Identification(PlotsPredictions, HasEstimate, Result):
     certificate: CoverageCertificate | None = None
     floor: NoiseFloor | None = None
     unusable: tuple[str, ...] = ()
+
+    @property
+    def unexcited(self) -> tuple[str, ...]:
+        """Parameters that other motions of this robot could show and these cannot."""
+        return self.not_shown.motions
 
     @cached_property
     def fitted(self) -> tuple[Prediction, ...]:
@@ -234,6 +251,8 @@ class Identification(PlotsPredictions, HasEstimate, Result):
             "physically_consistent": self.physically_consistent,
             "identified_urdf": self.urdf.to_dict(),
             "unexcited": list(self.unexcited),
+            "lost_to_static_run": list(self.not_shown.static_run),
+            "lost_to_effects": {label: list(effects) for label, effects in self.not_shown.effects.items()},
             "noise_std": {
                 group: dict(zip(self.problem.row_model.channels.names, map(float, model.std), strict=True))
                 for group, model in self.estimate.noise.items()

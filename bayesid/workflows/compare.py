@@ -246,7 +246,9 @@ def _warnings(
             "something is missing in the model or in the noise, and intervals do not cover it. "
             f"`{call('diagnose')}` looks for it."
         )
-    return tuple(out) if problem is None else (*no_use, *problem.experiment.with_findings(out))
+    if problem is None:
+        return tuple(out)
+    return (*no_use, *problem.experiment.with_findings(out, validated=bool(done[0].validation)))
 
 
 def _beaten(done: Sequence[Entry], nominal: Entry, model: str) -> list[str]:

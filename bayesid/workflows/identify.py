@@ -10,18 +10,20 @@ from pathlib import Path
 import numpy as np
 
 from bayesid.arguments import argument
-from bayesid.dynamics.base_parameters import structural_base
+from bayesid.dynamics.base_parameters import BaseParameters, structural_base
 from bayesid.estimators import Estimate, Estimator, estimator
 from bayesid.estimators.against_prior import against_nominal
 from bayesid.estimators.conic.consistent_links import channel_grams
 from bayesid.estimators.nonlinear import default_method, solve
 from bayesid.estimators.prior_check import PriorCheck, conflicts
+from bayesid.estimators.weights import learn_weights, pilot_of
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
+from bayesid.regression.linalg import undetermined
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import both, in_order, one_blas_thread
 from bayesid.regression.problem import Problem, prepare, weight_columns
-from bayesid.results.identification import Identification
+from bayesid.results.identification import Identification, NotShown
 from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
 from bayesid.validation.cross_checks import Agreement, Alone, fits_alone, motions_apart, static_both_ways, wrench_against_torque
@@ -129,7 +131,7 @@ def identify(
         if problem.channel == "both":
             across = wrench_against_torque(problem, method)
             agreements += [across] if across is not None else []
-        unexcited = _unexcited(problem, estimate)
+        not_shown = _not_shown(problem, estimate)
         check = against_nominal(problem.regression, estimate)
         signs = impossible_signs(estimate, problem)
         mistakes = mistaken(problem, validation, bool(signs))
@@ -145,8 +147,8 @@ def identify(
         agreements=tuple(agreements),
         static_alternative=alternative,
         offset=_offset(problem, estimate, links.unconstrained),
-        unexcited=unexcited,
-        warnings=(*no_use, *_warnings(problem, estimate, check, wrong, of_links, validation, agreements, unexcited)),
+        not_shown=not_shown,
+        warnings=(*no_use, *_warnings(problem, estimate, check, wrong, of_links, validation, agreements, not_shown)),
         seconds=clock.stop(),
         prior_check=check,
         unconstrained_urdf=unconstrained_urdf,
@@ -167,19 +169,48 @@ def _beside(problem: Problem, method: Estimator, unseen: list[str]) -> tuple[Alo
     return alone, floor, flexible
 
 
-def _unexcited(problem: Problem, estimate: Estimate) -> tuple[str, ...]:
-    """Base parameters of a rich motion that these motions do not show, and those the data say nothing about."""
+def _not_shown(problem: Problem, estimate: Estimate) -> NotShown:
+    """What these readings do not show, and whether that is for the motions, the static run or an effect in the model."""
     row_model = problem.row_model
-    fitted = [s for name in problem.fitted for s in problem.segments[name]]
-    rich = row_model.base
+    base, fitted = row_model.base, [s for name in problem.fitted for s in problem.segments[name]]
+    at_rest, rich = all(s.poses for s in fitted), base
     if all(s.poses or not s.gravity for s in fitted):  # otherwise the base parameters are those of a rich motion already
-        rich = structural_base(row_model.robot, row_model.channels, offset=row_model.base.absorbed is not None)
-    if len(rich.names) > row_model.base.rank:
-        seen = np.linalg.lstsq(row_model.base.matrix.T, rich.matrix.T, rcond=None)[0].T @ row_model.base.matrix
-        hidden = np.linalg.norm(seen - rich.matrix, axis=1) > 1e-6 * np.linalg.norm(rich.matrix, axis=1)
-        return tuple(label for label, h in zip(rich.labels, hidden, strict=True) if h)
-    kinds = estimate.classes
-    return tuple(label for label, kind in zip(row_model.base.labels, kinds, strict=True) if kind in ("weak", "prior"))
+        rich = structural_base(row_model.robot, row_model.channels, offset=base.absorbed is not None)
+    hidden = [label for label, out in zip(rich.labels, _outside(base, rich), strict=True) if out]
+    if hidden and at_rest:
+        return NotShown(motions=tuple(hidden), invisible=tuple(rich.invisible))
+    along: tuple[str, ...] = ()
+    if hidden:
+        joint = structural_base(row_model.robot, row_model.channels, offset=True)
+        along = tuple(label for label, out in zip(rich.labels, _outside(joint, rich), strict=True) if label in hidden and not out)
+    weak = [label for label, kind in zip(base.labels, estimate.classes, strict=True) if kind in ("weak", "prior")]
+    effects = _lost_to_effects(problem, estimate)
+    motions = tuple(label for label in weak if label not in effects)
+    return NotShown(motions, tuple(hidden), along, effects, tuple((rich if at_rest else base).invisible))
+
+
+def _outside(base: BaseParameters, wider: BaseParameters) -> np.ndarray:
+    """Which of some combinations (r,) are none of others', alone or together."""
+    if wider is base or not len(base.matrix):
+        return np.full(len(wider.matrix), wider is not base)
+    seen = np.linalg.lstsq(base.matrix.T, wider.matrix.T, rcond=None)[0].T @ base.matrix
+    return np.linalg.norm(seen - wider.matrix, axis=1) > 1e-6 * np.linalg.norm(wider.matrix, axis=1)
+
+
+def _lost_to_effects(problem: Problem, estimate: Estimate) -> dict[str, tuple[str, ...]]:
+    """Base parameters that the rows determine without effects and not beside them: which effects take each, by its label."""
+    regression, base = problem.regression, estimate.base
+    lost = np.flatnonzero(estimate.undetermined[: base.rank])
+    if not len(lost) or not regression.effect_names:
+        return {}
+    matrix = pilot_of(regression).whitened(learn_weights(regression).noise).matrix
+    specs = np.array([*[""] * base.rank, *(name.rpartition(".")[0] for name in regression.effect_names)])
+    alone = undetermined(matrix[:, : base.rank])
+    out: dict[str, tuple[str, ...]] = {}
+    beside = {spec: undetermined(matrix[:, specs != spec]) for spec in dict.fromkeys(specs.tolist()) if spec}
+    for k in lost[~alone[lost]].tolist():
+        out[base.labels[k]] = tuple(spec for spec, hidden in beside.items() if not hidden[k]) or tuple(beside)
+    return out
 
 
 def _offset(problem: Problem, estimate: Estimate, links: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -199,6 +230,30 @@ def _offset(problem: Problem, estimate: Estimate, links: np.ndarray) -> tuple[np
     return value, std
 
 
+def _told(lost: NotShown) -> list[str]:
+    """What the readings do not show and what helps, a line for each reason."""
+    out = []
+    if lost.motions:
+        out.append(
+            f"Not excited by these motions: {listed(lost.motions, 6)}. "
+            "The data say no more there than the size of a body does: add motions that move these links in other ways, or rely "
+            "on the nominal model there."
+        )
+    if lost.effects:
+        specs = listed(dict.fromkeys(spec for effects in lost.effects.values() for spec in effects), 6)
+        out.append(
+            f"Not told from an effect in the model ({specs}): {listed(lost.effects, 6)}. These motions show them only together: "
+            "state what is known of the effect in [model.values], as a data sheet gives it, or rely on the sum alone."
+        )
+    if lost.static_run:
+        remedy = "Rely on the nominal model or a scale there."
+        if lost.fitted_along:
+            what = "them" if len(lost.fitted_along) == len(lost.static_run) else listed(lost.fitted_along, 6)
+            remedy = f"Fitted along ({argument('static', 'joint')}), it shows {what}."
+        out.append(f"The static run takes gravity with it, so that no motion shows {listed(lost.static_run, 6)}. {remedy}")
+    return out
+
+
 def _warnings(
     problem: Problem,
     estimate: Estimate,
@@ -207,7 +262,7 @@ def _warnings(
     of_links: Sequence[str],
     validation: Sequence[Prediction],
     agreements: Sequence[Agreement],
-    unexcited: Sequence[str],
+    not_shown: NotShown,
 ) -> tuple[str, ...]:
     """What the user should know, most important first."""
     out = [
@@ -236,13 +291,7 @@ def _warnings(
         out.append(incomplete(estimate.details.dispersion, estimate.details.dispersion_by_channel))
     # What the estimator itself has to say, such as weak instruments.
     out += estimate.details.warnings
-    if unexcited:
-        lost = " (the static run takes gravity with it)" if problem.static == "motion" else ""
-        out.append(
-            f"Not excited by these motions{lost}: {listed(unexcited, 6)}. "
-            "The data say no more there than the size of a body does: add motions that move these links in other ways, or rely "
-            "on the nominal model there."
-        )
+    out += _told(not_shown)
     out += of_links
     if estimate.links is not None and not problem.regression.knowledge.states_masses:
         out.append(
@@ -256,4 +305,4 @@ def _warnings(
             "above all the total mass, cannot be identified. Where a scale says the mass, state it "
             f"({argument('bounds', 'FILE')})."
         )
-    return problem.experiment.with_findings(out)
+    return problem.experiment.with_findings(out, validated=bool(validation))

@@ -298,4 +298,4 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
             "The prior is flat on the base parameters, so links are not sampled and nothing keeps them possible; "
             f"take {argument('prior', 'nominal')} and {argument('prior_std', 0.3)} for both."
         )
-    return problem.experiment.with_findings(out)
+    return problem.experiment.with_findings(out, validated=bool(validation))

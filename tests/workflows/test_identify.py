@@ -63,6 +63,29 @@ def test_effects_that_the_readings_do_not_show_are_named(tmp_path):
     assert not any("viscous_friction" in w for w in bayesid.identify(stated, channel="wrench").warnings)
 
 
+def test_what_no_motion_shows_is_not_called_unexcited(tmp_path):
+    """An effect in the model and a subtracted static run hide parameters for reasons of their own."""
+    robot = puma2(tmp_path)
+    motion = fourier(robot, 1)
+    moving = recording(robot, None, motion, seed=1, torque_std=0.1, resolution=1e-5)
+    drives = experiment(
+        robot, [Motion("identification", "identification", moving)], None, gear_ratio={"joint1": 50.0, "joint2": 50.0}
+    )
+    found = bayesid.identify(drives, effects=["rotor_inertia"])
+    lost = found.not_shown.effects
+    assert {spec for specs in lost.values() for spec in specs} == {"rotor_inertia@joint1", "rotor_inertia@joint2"}
+    assert not {*lost} & {*found.unexcited} and found.to_dict()["lost_to_effects"].keys() == lost.keys()
+    assert sum("Not told from an effect in the model" in w for w in found.warnings) == 1
+    assert not bayesid.identify(drives, effects=[]).not_shown.effects
+    sensor = Sensor(translation=np.array([0.0, 0.0, -0.1]))
+    table, rest = (recording(robot, sensor, motion, seed=2, static=static, **NOISE) for static in (False, True))
+    still = bayesid.identify(experiment(robot, [Motion("identification", "identification", table, static=rest)], sensor))
+    assert "m1 + m2" in still.not_shown.static_run and "m1 + m2" not in still.unexcited
+    assert not any("add motions" in w and "m1 + m2" in w for w in still.warnings)
+    # Nothing is held out: that is told once.
+    assert sum("validation" in w for w in found.warnings) == 1
+
+
 def test_offset_is_told_from_the_weight_by_the_nominal_mass(result):
     value, std = result.offset
     assert (np.abs(value - OFFSET)[[0, 1, 3, 4, 5]] < 4 * std[[0, 1, 3, 4, 5]]).all()
