@@ -55,7 +55,7 @@ class SetReport:
     condition_number: float  # of the rows of what is determined, columns at unit length
     parameters: tuple[LinkExpectation, ...]  # every link parameter
     base_parameters: tuple[BaseExpectation, ...]  # combinations that these motions show
-    unexcited: tuple[str, ...]  # labels of combinations that another motion would show
+    unexcited: tuple[str, ...]  # labels of combinations that another motion would show, effects aside
     effects: tuple[EffectExpectation, ...]  # in the model
     expected: Expected  # behind all this
     shown: Shown  # the part of it that the motions determine
@@ -157,7 +157,8 @@ def set_report(
     return SetReport(
         sensor_set=sensor_set, recorded=True, noise={}, noise_std={}, richest=richest,
         condition_number=found.condition, parameters=tuple(links), base_parameters=bases,
-        unexcited=() if richest is None else unseen(richest, found.base), effects=tuple(effects), expected=expected, shown=found,
+        unexcited=() if richest is None else unseen(richest, found.without_effects), effects=tuple(effects),
+        expected=expected, shown=found,
     )  # fmt: skip
 
 
