@@ -178,7 +178,9 @@ def test_white_noise_becomes_unit_rows():
     times = np.arange(0, 20, 0.008)
     noise = rng.normal(size=(len(times), 2)) * [0.5, 0.02]
     trajectory = smoothed(times, np.sin(times)[:, None], times, 12.0, False, np.zeros(1))
-    segment = spectra.Segment("m", "identification", times, np.sin(times)[:, None], noise, trajectory, False, (), np.zeros(0))
+    segment = spectra.SpectralSegment(
+        "m", "identification", times, np.sin(times)[:, None], noise, trajectory, False, (), np.zeros(0)
+    )
     np.testing.assert_allclose(spectra.sensor_noise([segment]), [0.5, 0.02], rtol=0.12)
     zero = np.zeros(1)
     known = encoders.with_noise(
