@@ -302,7 +302,7 @@ def test_the_gap_needs_unseen_motions(record):
     found = diagnose(experiment, "torque", motions=every)
     assert found.gap is None
     assert found.to_dict()["gap"] is None
-    assert any("No validation motion" in r for r in found.remarks)
+    assert any("validation is missing" in r for r in found.remarks)
     assert validation.validate(found.search.projector, found.search.base, found.search.best, 1.0, 0) is None
 
 
