@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.arguments import call
-from bayesid.design.identifiability import PlannedMotions, SetReport, report_of, richest_base, unseen
+from bayesid.design.identifiability import PlannedMotions, SetReport, report_of, richest_base
 from bayesid.design.reading_noise import ReadingNoise
 from bayesid.design.visibility import WEAK
-from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.dynamics.base_parameters import BaseParameters, unseen
 from bayesid.recordings.experiment import Motion
 from bayesid.recordings.table import GAP
 from bayesid.regression.readings import make_channels

@@ -20,7 +20,7 @@ from bayesid.design.visibility import (
     shown,
     shows_more,
 )
-from bayesid.dynamics.base_parameters import BaseParameters, structural_base
+from bayesid.dynamics.base_parameters import BaseParameters, structural_base, unseen
 from bayesid.dynamics.channels import Channels
 from bayesid.effects.surroundings import STILL
 from bayesid.posterior.result import PRIOR_DRIVEN
@@ -168,15 +168,6 @@ def richest_base(
     """Base parameters of the richest motion, or of one in which joints are held or the robot only stands."""
     offset = sensor_set.offset == "fitted"
     return structural_base(robot, channels, gravity=sensor_set.gravity, offset=offset, held=held, at_rest=at_rest)
-
-
-def unseen(wider: BaseParameters, found: BaseParameters) -> tuple[str, ...]:
-    """Labels of combinations that are not among those found (not in the span of their rows)."""
-    if not found.rank:
-        return wider.labels
-    rest = wider.matrix - np.linalg.lstsq(found.matrix.T, wider.matrix.T, rcond=None)[0].T @ found.matrix
-    gone = np.linalg.norm(rest, axis=1) > 1e-4 * np.linalg.norm(wider.matrix, axis=1)
-    return tuple(label for label, g in zip(wider.labels, gone, strict=True) if g)
 
 
 def is_recorded(plan: PlannedMotions, sensor_set: SensorSet) -> bool:

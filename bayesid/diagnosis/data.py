@@ -58,9 +58,8 @@ class DiagnosisData:
     #: Where the noise of moving readings comes from: ``white noise above the band``, ``repeats``, ``parked``, ``stated`` or
     #: ``richest model``.
     floor_source: str = WHITE
-    spectrum: NoiseSpectrum | None = (
-        None  # the noise of moving readings where it was measured by frequency, on repeats or at rest
-    )
+    #: The noise of moving readings where it was measured by frequency, on repeats or at rest.
+    spectrum: NoiseSpectrum | None = None
     held: frozenset[str] = frozenset()  # effects of the user's model, ``name@where``, whose values are kept
     #: Validation motions that cannot be compared, and why.
     skipped: tuple[tuple[str, str], ...] = ()

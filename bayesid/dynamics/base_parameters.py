@@ -190,6 +190,15 @@ def regroup(
     )
 
 
+def unseen(wider: BaseParameters, found: BaseParameters) -> tuple[str, ...]:
+    """Labels of combinations that are not among those found (not in the span of their rows)."""
+    if not found.rank:
+        return wider.labels
+    rest = wider.matrix - np.linalg.lstsq(found.matrix.T, wider.matrix.T, rcond=None)[0].T @ found.matrix
+    gone = np.linalg.norm(rest, axis=1) > 1e-4 * np.linalg.norm(wider.matrix, axis=1)
+    return tuple(label for label, g in zip(wider.labels, gone, strict=True) if g)
+
+
 def _order(name: str, position: int) -> tuple:
     """Masses last of all; otherwise link by link in the order of the parameters, then by preference."""
     kind = name.rsplit(".", 1)[-1]

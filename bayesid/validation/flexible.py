@@ -19,6 +19,7 @@ import numpy as np
 from scipy.fft import dct
 from scipy.linalg import LinAlgError, get_lapack_funcs
 
+from bayesid.estimators.dispersion import PARTS
 from bayesid.recordings.table import usual_step
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import or_one
@@ -31,8 +32,6 @@ from bayesid.signals.smoothing import smooth
 
 #: Band in which predictions are compared, the same whatever filter or method was used [Hz].
 BAND = 10.0
-#: Parts that errors are counted by.
-_PARTS = 8
 #: Fewer rows, eight in a part, show nothing.
 _FEWEST = 64
 #: A gain counts from so many standard errors: Student's t with seven degrees of freedom at 97.5 %, for the best of six ways.
@@ -330,8 +329,8 @@ def _rows(problem: Problem, motions: Sequence[str]) -> _Rows | None:
         return None
     target /= size[:, None]
     columns /= size[:, None, None]
-    part = np.arange(len(target)) * _PARTS // len(target)
-    return _Rows(target, columns, (q, v, a), [part == k for k in range(_PARTS)], problem.row_model.step)
+    part = np.arange(len(target)) * PARTS // len(target)
+    return _Rows(target, columns, (q, v, a), [part == k for k in range(PARTS)], problem.row_model.step)
 
 
 def _blocks(problem: Problem, motions: Sequence[str]) -> Iterable[Block]:
@@ -375,7 +374,7 @@ def _gap(
     before, after = power.sum(), reduced.sum()
     ratio = after / before
     # Of a ratio of sums, by its linearisation: d ratio = (d after - ratio d before) / before.
-    spread = np.std(reduced - ratio * power, ddof=1) * np.sqrt(_PARTS) / before
+    spread = np.std(reduced - ratio * power, ddof=1) * np.sqrt(PARTS) / before
     removed, rows_count = 1.0 - np.sqrt(ratio), len(residual)
     std = spread / max(2.0 * np.sqrt(ratio), 1e-9)
     rms = np.sqrt(np.array([before, after]) / rows_count)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from bayesid.arguments import argument
-from bayesid.dynamics.base_parameters import BaseParameters, structural_base
+from bayesid.dynamics.base_parameters import structural_base, unseen
 from bayesid.estimators import Estimate, Estimator, estimator
 from bayesid.estimators.against_prior import against_nominal
 from bayesid.estimators.conic.consistent_links import channel_grams
@@ -176,25 +176,16 @@ def _not_shown(problem: Problem, estimate: Estimate) -> NotShown:
     at_rest, rich = all(s.poses for s in fitted), base
     if all(s.poses or not s.gravity for s in fitted):  # otherwise the base parameters are those of a rich motion already
         rich = structural_base(row_model.robot, row_model.channels, offset=base.absorbed is not None)
-    hidden = [label for label, out in zip(rich.labels, _outside(base, rich), strict=True) if out]
+    hidden = unseen(rich, base)
     if hidden and at_rest:
-        return NotShown(motions=tuple(hidden), invisible=tuple(rich.invisible))
-    along: tuple[str, ...] = ()
-    if hidden:
-        joint = structural_base(row_model.robot, row_model.channels, offset=True)
-        along = tuple(label for label, out in zip(rich.labels, _outside(joint, rich), strict=True) if label in hidden and not out)
+        return NotShown(motions=hidden, invisible=tuple(rich.invisible))
+    with_offset = structural_base(row_model.robot, row_model.channels, offset=True) if hidden else base
+    gone = unseen(rich, with_offset)
+    along = tuple(label for label in hidden if label not in gone)
     weak = [label for label, kind in zip(base.labels, estimate.classes, strict=True) if kind in ("weak", "prior")]
     effects = _lost_to_effects(problem, estimate)
     motions = tuple(label for label in weak if label not in effects)
-    return NotShown(motions, tuple(hidden), along, effects, tuple((rich if at_rest else base).invisible))
-
-
-def _outside(base: BaseParameters, wider: BaseParameters) -> np.ndarray:
-    """Which of some combinations (r,) are none of others', alone or together."""
-    if wider is base or not len(base.matrix):
-        return np.full(len(wider.matrix), wider is not base)
-    seen = np.linalg.lstsq(base.matrix.T, wider.matrix.T, rcond=None)[0].T @ base.matrix
-    return np.linalg.norm(seen - wider.matrix, axis=1) > 1e-6 * np.linalg.norm(wider.matrix, axis=1)
+    return NotShown(motions, hidden, along, effects, tuple((rich if at_rest else base).invisible))
 
 
 def _lost_to_effects(problem: Problem, estimate: Estimate) -> dict[str, tuple[str, ...]]:
@@ -230,7 +221,7 @@ def _offset(problem: Problem, estimate: Estimate, links: np.ndarray) -> tuple[np
     return value, std
 
 
-def _told(lost: NotShown) -> list[str]:
+def _of_what_is_not_shown(lost: NotShown) -> list[str]:
     """What the readings do not show and what helps, a line for each reason."""
     out = []
     if lost.motions:
@@ -291,7 +282,7 @@ def _warnings(
         out.append(incomplete(estimate.details.dispersion, estimate.details.dispersion_by_channel))
     # What the estimator itself has to say, such as weak instruments.
     out += estimate.details.warnings
-    out += _told(not_shown)
+    out += _of_what_is_not_shown(not_shown)
     out += of_links
     if estimate.links is not None and not problem.regression.knowledge.states_masses:
         out.append(

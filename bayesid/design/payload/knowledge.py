@@ -27,7 +27,7 @@ from bayesid.design.payload.likelihood import along_mass, has_valley
 from bayesid.diagnosis.changes.evidence import amplitudes, gain
 from bayesid.diagnosis.changes.findings import ReferenceComparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
-from bayesid.diagnosis.changes.scales import SIZES, WANDER_FACTORS
+from bayesid.diagnosis.changes.scales import WANDER_FACTORS
 from bayesid.diagnosis.changes.selection import Accepted
 from bayesid.effects.bodies import Payload
 from bayesid.errors import InputError
@@ -124,11 +124,11 @@ def from_reference(comparison: ReferenceComparison, joint: int) -> tuple[BodyKno
     else:
         marginals = [s.marginal(factor=f) for f in WANDER_FACTORS]
         evidence = max(gain(marginals, h) for h in forms)
-    s = replace(s, accepted=(*(a for a in s.accepted if a is not named), Accepted(forms[0], max(SIZES), evidence))).for_values
-    whole = s.accepted[-1]
-    own, columns = s.directions[-1], whole.change.columns
+    s = replace(s, accepted=(*(a for a in s.accepted if a is not named), Accepted(forms[0], 1.0, evidence))).for_values
+    whole = s.accepted[-1].change
+    own, columns = s.directions[-1], whole.columns
     fitted = amplitudes(s.marginal())
-    root, prior = fitted.part_root(own)[columns], whole.size * whole.change.sizes
+    root, prior = fitted.part_root(own)[columns], whole.sizes
     covariance = root @ root.T
     # Of a parameter of which the recordings leave most of the prior's variance they say nothing: the value is the prior's.
     open_ = np.diag(covariance) > _LEFT * prior**2

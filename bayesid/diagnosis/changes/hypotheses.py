@@ -76,13 +76,13 @@ def gain_columns(reference: Reference) -> np.ndarray:
 def _bodies(reference: Reference) -> Iterator[Hypothesis]:
     """Something attached to a link or taken away: mass and first moments, or all ten parameters."""
     robot, first = reference.robot, len(reference.solution)
-    typical, largest = [body_sizes(robot, PAYLOAD_MASS, share) for share in PAYLOAD_REACHES], body_sizes(robot, 1.0, 1.0)
+    largest = body_sizes(robot, 1.0, 1.0)
     for joint in range(robot.n):
         effect = Payload(f"joint{joint + 1}", joint)
         columns = first + 10 * body_of(robot, joint) + np.arange(10)
         free = Hypothesis(effect.name, effect.where, (effect,), columns, largest)
-        for sizes, count in product(typical, (4, 10)):
-            far = sizes is typical[-1]
+        for share, count in product(PAYLOAD_REACHES, (4, 10)):
+            sizes, far = body_sizes(robot, PAYLOAD_MASS, share), share == max(PAYLOAD_REACHES)
             yield Hypothesis(effect.name, effect.where, (effect,), columns[:count], sizes[:count], for_values=free, far=far)
 
 

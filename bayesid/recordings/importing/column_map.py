@@ -200,6 +200,10 @@ def column_map(columns: Columns, units: UnitSection, joints: Mapping[str, str], 
     return ColumnMap(columns, given, units.scale, joints, file=file)
 
 
+#: A column that ends in a number, which may stand in brackets.
+NUMBERED = re.compile(r"(.*?)[\s_./\-\[(]*(\d+)[\])]?")
+
+
 def without_unit(column: str) -> str:
     """A column's name without the unit that it states."""
     match = UNIT_OF_NAME.search(column)
@@ -209,6 +213,6 @@ def without_unit(column: str) -> str:
 
 def numbered(name: str) -> tuple[str, int] | None:
     """The quantity and the number of a column that is a word of a quantity with a number (``torque2``: tau, 2), else None."""
-    match = re.fullmatch(r"(.*?)[\s_./\-\[(]*(\d+)[\])]?", without_unit(name))
+    match = NUMBERED.fullmatch(without_unit(name))
     quantity = QUANTITY_OF_WORD.get(match[1].lower()) if match else None
     return (quantity, int(match[2])) if match and quantity else None

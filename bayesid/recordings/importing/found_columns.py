@@ -14,6 +14,7 @@ from bayesid.recordings.complaints import cut, listed, suggest
 from bayesid.recordings.importing.column_map import (
     AXES,
     JOINT_QUANTITIES,
+    NUMBERED,
     QUANTITY_OF_WORD,
     UNIT_OF_NAME,
     ColumnMap,
@@ -178,7 +179,7 @@ class _Finder:
         groups: dict[tuple[int, str], dict[int, tuple[Stream, str]]] = defaultdict(dict)
         for at, stream in enumerate(self.streams):
             for column in stream.columns:
-                match = re.fullmatch(r"(.*?)[\s_./\-\[(]*(\d+)[\])]?", without_unit(column))
+                match = NUMBERED.fullmatch(without_unit(column))
                 word = re.split(r"[/.\s]", match[1].lower())[-1] if match else ""
                 if match and QUANTITY_OF_WORD.get(word) == quantity and not (quantity == "q" and _tokens(match[1]) & _COMMAND):
                     groups[at, match[1]][int(match[2])] = (stream, column)
