@@ -46,7 +46,8 @@ def smallest(selection: Selection, settings: Settings) -> tuple[HiddenChange, ..
     for change in selection.every:
         if change.spec in {a.change.spec for a in selection.accepted} or change.far:  # a smaller mass is seen that far out
             continue
-        found = HiddenChange(change, _smallest(marginal, change, settings.accept))
+        needed = settings.accept + np.log(len(selection.forms[change.spec]))  # it is one of so many forms
+        found = HiddenChange(change, _smallest(marginal, change, needed))
         if change.spec not in best or found.value < best[change.spec].value:
             best[change.spec] = found
     return tuple(best.values())
@@ -159,11 +160,8 @@ class ReferenceComparison:
 
     @property
     def scores(self) -> Scores:
-        """Log evidence of every change on its own, one for each kind and place, best first."""
-        best: dict[str, tuple[Hypothesis, float]] = {}
-        for h, e in self.selection.scores:
-            best.setdefault(h.spec, (h, e))
-        return tuple(best.values())
+        """Log evidence of every change on its own, best first."""
+        return self.selection.scores
 
     @property
     def described_by(self) -> str | None:

@@ -46,7 +46,7 @@ class Hypothesis:
     known: bool = False  # whether it has it, with other values
     #: The same change with all its parameters and next to no prior: a prior that weighs names pulls values towards zero.
     for_values: Hypothesis | None = None
-    far: bool = False  # whether it is a body as far from its joint as the arm reaches
+    far: bool = False  # whether it is a body away from its joint
 
     @property
     def spec(self) -> str:
@@ -82,7 +82,7 @@ def _bodies(reference: Reference) -> Iterator[Hypothesis]:
         columns = first + 10 * body_of(robot, joint) + np.arange(10)
         free = Hypothesis(effect.name, effect.where, (effect,), columns, largest)
         for share, count in product(PAYLOAD_REACHES, (4, 10)):
-            sizes, far = body_sizes(robot, PAYLOAD_MASS, share), share == max(PAYLOAD_REACHES)
+            sizes, far = body_sizes(robot, PAYLOAD_MASS, share), share > min(PAYLOAD_REACHES)
             yield Hypothesis(effect.name, effect.where, (effect,), columns[:count], sizes[:count], for_values=free, far=far)
 
 

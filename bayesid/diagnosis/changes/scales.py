@@ -31,9 +31,9 @@ WANDER_FACTORS = {1.0: 0.0, 2.0: -3.0, 4.0: -6.0}
 DISPERSIONS = np.geomspace(0.5, 8.0, 41)
 #: Sizes of a change as multiples of a typical one, equally likely beforehand; so no evidence hangs on one guess of a size.
 SIZES = (0.03, 0.1, 0.3, 1.0, 3.0)
-#: A payload is of the order of this share of the arm's mass; its middle is near the joint, or as far from it as the arm reaches:
-#: by these shares of the reach.
-PAYLOAD_MASS, PAYLOAD_REACHES = 0.1, (0.1, 1.0)
+#: A payload is of the order of this share of the arm's mass; its middle is near the joint or, on a long tool, further out: by
+#: these shares of the arm's reach, equally likely beforehand.
+PAYLOAD_MASS, PAYLOAD_REACHES = 0.1, (0.1, 0.3)
 
 
 def wander(effect: Effect, values: np.ndarray, robot: Robot) -> np.ndarray:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.special import logsumexp
 
 from bayesid.diagnosis.changes.evidence import Marginal, Reduced, best_size, gain
 from bayesid.diagnosis.changes.hypotheses import Hypothesis, gain_columns, hypotheses
@@ -73,11 +75,23 @@ class Selection:
             start += count if a.change.shared is None else 3 * count
         return tuple(out)
 
+    @cached_property
+    def forms(self) -> dict[str, tuple[Hypothesis, ...]]:
+        """The changes by ``name@where``: one may have several forms, such as a body near its joint or far from it."""
+        specs = dict.fromkeys(h.spec for h in self.every)
+        return {spec: tuple(h for h in self.every if h.spec == spec) for spec in specs}
+
     def ranked(self, accepted: Sequence[Accepted]) -> Scores:
-        """What every other change adds, best first; the tolerance is wider by the best of the factors, with and without it."""
+        """What every other change adds, in its best form, best first; all forms of one are equally likely beforehand.
+
+        The tolerance is wider by the best of the factors, with and without it.
+        """
         marginals = [self.marginal(accepted, f) for f in WANDER_FACTORS]
-        taken = {a.change.spec for a in accepted}
-        found = ((h, gain(marginals, h)) for h in self.every if h.spec not in taken)
+        taken, found = {a.change.spec for a in accepted}, []
+        for spec, forms in self.forms.items():
+            if spec not in taken:
+                gains = [gain(marginals, h) for h in forms]
+                found.append((forms[int(np.argmax(gains))], float(logsumexp(gains) - np.log(len(forms)))))
         return tuple(sorted(found, key=lambda x: -x[1]))
 
 
@@ -105,12 +119,8 @@ def _judged(s: Selection, one: Accepted, settings: Settings) -> Accepted:
     others = [a for a in s.accepted if a is not one]
     scores = s.ranked(others)
     taken = {a.change.spec for a in s.accepted}
-    own = next(e for h, e in scores if h is one.change)
-    first: dict[str, tuple[Hypothesis, float]] = {}
-    for h, e in scores:
-        if h.spec not in taken:
-            first.setdefault(h.spec, (h, own - e))
-    behind = sorted(first.values(), key=lambda x: x[1])
+    own = next(e for h, e in scores if h.spec == one.change.spec)
+    behind = [(h, own - e) for h, e in scores if h.spec not in taken]
     return replace(
         one, evidence=own, rivals=tuple(x for x in behind if x[1] < settings.rival), lead=behind[0] if behind else None
     )
