@@ -355,12 +355,15 @@ def distance(best: Fit, index: int) -> tuple[float, int]:
     term = best.terms[index]
     shape = set(term.effect.shape)
     counts = set(term.effect.parameters) - shape or shape
-    mine = [(column, k) for column, (owner, k) in enumerate(best.free) if owner == index]
-    mine = [(column, k) for column, k in mine if term.effect.parameters[k] in counts]
-    at, values = [column for column, _ in mine], np.array([term.values[k] for _, k in mine])
-    if term.effect.shape and not best.determined[at].all():
-        return 0.0, len(at)  # another shape would do with any size
-    return squared_distance(values, best.covariance[np.ix_(at, at)]), len(at)
+    own = [(column, k) for column, (owner, k) in enumerate(best.free) if owner == index]
+    at, counted = [column for column, _ in own], np.array([term.effect.parameters[k] in counts for _, k in own], bool)
+    if term.effect.shape and not best.determined[at][counted].all():
+        return 0.0, int(counted.sum())  # another shape would do with any size
+    values, covariance = np.array([term.values[k] for _, k in own]), best.covariance[np.ix_(at, at)]
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    precision = np.linalg.pinv(covariance / np.outer(size, size), hermitian=True)[np.ix_(counted, counted)]
+    scaled = (values / size)[counted]
+    return float(scaled @ precision @ scaled), int(counted.sum())
 
 
 def squared_distance(values: np.ndarray, covariance: np.ndarray) -> float:
