@@ -346,24 +346,26 @@ def _moved(terms: tuple[Term, ...], free: Sequence[tuple[int, int]], change: np.
 
 
 def distance(best: Fit, index: int) -> tuple[float, int]:
-    """Squared distance from zero of what makes an effect one, in units of its covariance, and how many values that are.
+    """Squared distance from zero of what makes an effect one, in units of its covariance, and how many values were fitted for it.
 
     That are the parameters that readings are linear in: without a force there is no contact, however well its window and its
-    point are known, and without stiffness no tether. An effect that has none of them, as a delay, is measured by all of its
-    parameters.
+    point are known, and without stiffness no tether. Their covariance is that at the effect's shape: of a friction that is the
+    larger the smaller its coupling is, no single number is known, yet it is there, and beside an uncertain shape the usual Wald
+    distance becomes the smaller the more there is [Hauck1977]_. The shape counts by its values. An effect that has no such
+    parameter, as a delay, is measured by all of its parameters.
     """
     term = best.terms[index]
     shape = set(term.effect.shape)
     counts = set(term.effect.parameters) - shape or shape
     own = [(column, k) for column, (owner, k) in enumerate(best.free) if owner == index]
-    at, counted = [column for column, _ in own], np.array([term.effect.parameters[k] in counts for _, k in own], bool)
-    if term.effect.shape and not best.determined[at][counted].all():
-        return 0.0, int(counted.sum())  # another shape would do with any size
+    at, sizes = [column for column, _ in own], np.array([term.effect.parameters[k] in counts for _, k in own], bool)
+    if term.effect.shape and not best.determined[at][sizes].all():
+        return 0.0, len(at)  # another shape would do with any size
     values, covariance = np.array([term.values[k] for _, k in own]), best.covariance[np.ix_(at, at)]
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    precision = np.linalg.pinv(covariance / np.outer(size, size), hermitian=True)[np.ix_(counted, counted)]
-    scaled = (values / size)[counted]
-    return float(scaled @ precision @ scaled), int(counted.sum())
+    length = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    precision = np.linalg.pinv(covariance / np.outer(length, length), hermitian=True)[np.ix_(sizes, sizes)]
+    scaled = (values / length)[sizes]
+    return float(scaled @ precision @ scaled), len(at)
 
 
 def squared_distance(values: np.ndarray, covariance: np.ndarray) -> float:

@@ -56,7 +56,7 @@ def remarks(
 
     ``gap`` is that of the model that is handed on, ``reason`` why its effects are not named without reserve. ``part`` holds
     effects that held-out recordings prove, where that was asked,
-    and ``worse`` says whether they make the validation motions worse once they are fitted to all others.
+    and ``worse`` says whether the validation motions deny them once they are fitted to all others.
     """
     data = search.projector.data
     out = _unknown(search, reason) if verdict == "unknown" else []

@@ -27,7 +27,7 @@ from bayesid.diagnosis.search import Found, Search, base_shifts, certain, holds_
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.stability import Stability, stability
 from bayesid.diagnosis.validation import Gap, residual_spectra, validate
-from bayesid.diagnosis.verdict import Reason, Verdict, evidence_of, named_in_part, verdict
+from bayesid.diagnosis.verdict import Reason, Verdict, denied, evidence_of, named_in_part, verdict
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
@@ -204,7 +204,7 @@ def _concluded(found: _Decided, seed: int, progress: Progress) -> Diagnosis:
         gap = validate(s.projector, s.base, s.best, s.dispersion, seed, complete=False)
     if tried is not None and named_in_part(tried, data.settings):
         closer = validate(tried.search.projector, tried.search.base, tried.search.best, s.dispersion, seed, complete=False)
-        worse = closer is not None and closer.after >= closer.before
+        worse = denied(evidence_of(tried.search, closer), data.settings)
         if not worse:
             decided, part, s, gap = "named_in_part", tried, tried.search, closer
             data = s.projector.data
