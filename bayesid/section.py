@@ -33,9 +33,15 @@ class ShownTable:
     #: Style of single rows by their index: ``rule``, a line above; ``dim``.
     marks: Mapping[int, str] = field(default_factory=dict)
 
+    @property
+    def _letters(self) -> list[str]:
+        return self.columns.split() or ["k", *["n"] * (len(self.head) - 1)]
+
     def text(self) -> list[str]:
         """Lines for a terminal, the first column to the left, the others to the right."""
-        rows = [[cell if isinstance(cell, str) else cell[0] for cell in row] for row in self.rows]
+        raised = ["u" in letter for letter in self._letters]
+        plain = [[cell if isinstance(cell, str) else cell[0] for cell in row] for row in self.rows]
+        rows = [[powers(text) if u else text for text, u in zip(row, raised, strict=True)] for row in plain]
         cells = [list(self.head), *([_cut(row[0]), *row[1:]] for row in rows)]
         first, *others = (max(map(len, column)) for column in zip(*cells, strict=True))
         lines = [[row[0].ljust(first), *(c.rjust(w) for c, w in zip(row[1:], others, strict=True))] for row in cells]
@@ -43,7 +49,7 @@ class ShownTable:
 
     def html(self) -> str:
         """The table for a page or a notebook."""
-        letters = self.columns.split() or ["k", *["n"] * (len(self.head) - 1)]
+        letters = self._letters
         styles = [[_STYLES[k] for k in letter if k in _STYLES] for letter in letters]
         head = "".join(_element("th", "n" if "n" in s else "", escape(title)) for s, title in zip(styles, self.head, strict=True))
         lines = [f"<tr>{head}</tr>"]

@@ -9,7 +9,7 @@ TABLE = ShownTable(
 
 
 def test_a_table_in_a_terminal_has_columns_of_a_width():
-    assert TABLE.text() == ["  of     value    unit", "  a & b   2.50  kg m^2", "  c         10       m"]
+    assert TABLE.text() == ["  of     value   unit", "  a & b   2.50  kg m²", "  c         10      m"]
     assert ShownTable(["a", "b"], [["c" * 61, "d"]]).text()[1].split() == ["c" * 58, "…", "d"]
 
 

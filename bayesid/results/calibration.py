@@ -147,7 +147,7 @@ class Calibration(ShownResult):
                          ("common gain of the forces", self.common_gain)):  # fmt: skip
             if q is not None:
                 out.append([label, *cells(q), q.unit, "" if q.shown else "not shown"])
-        return ShownTable(["", "value", "95 % interval", "unit", ""], out, "k n n - w", "narrow")
+        return ShownTable(["", "value", "95 % interval", "unit", ""], out, "k n n u w", "narrow")
 
     def _parts(self) -> list[str | ShownTable]:
         lead = f"{self.name}: force/torque sensor in {self.sensor}"

@@ -17,7 +17,7 @@ from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.results.files import Files, ShownResult, strict
 from bayesid.results.fitted_model import placed
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
-from bayesid.section import ShownTable, as_html
+from bayesid.section import ShownTable, as_html, powers
 
 #: Kinds of changes whose smallest visible size is given where nothing changed.
 _LISTED = ("payload", "coulomb_friction", "viscous_friction", "torque_gain", "sensor_offset", "sensor_gain")
@@ -94,7 +94,8 @@ class Changes(ShownResult):
             for v in (*x.values, *x.derived):
                 name, text, half, _, unit = value_text(v)
                 before = f" (reference {number(v.before)})" if x.change.known else ""
-                lines.append(f"  {x.change.spec}: {name} {text}{'' if half == DASH else f' ± {half}'} {unit}".rstrip() + before)
+                value = f"{text}{'' if half == DASH else f' ± {half}'} {powers(unit)}"
+                lines.append(f"  {x.change.spec}: {name} {value}".rstrip() + before)
             if sentence := shares_sentence(x, c):
                 lines.append(f"  {sentence}")
         return [*lines, gap_sentence(c), *_open(c)]

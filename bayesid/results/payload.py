@@ -17,7 +17,7 @@ from bayesid.results.files import Files, ShownResult, strict
 from bayesid.results.text import channel_text, number
 from bayesid.robot import inertia
 from bayesid.robot.inertia import PARAMETERS, inertia_matrix
-from bayesid.section import ShownTable, powers
+from bayesid.section import ShownTable
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -219,11 +219,11 @@ class PayloadEstimate(ShownResult):
     def table(self) -> ShownTable:
         """Every quantity with its interval, and whether it is shown."""
         rows = [
-            [_NAMES.get(q.name, f"inertia {q.name}"), *cells(q), powers(q.unit), "" if q.shown else "not shown"]
+            [_NAMES.get(q.name, f"inertia {q.name}"), *cells(q), q.unit, "" if q.shown else "not shown"]
             for q in self.quantities
         ]
         dim = {k: "dim" for k, q in enumerate(self.quantities) if not q.shown}
-        return ShownTable(["", "value", "95 % interval", "unit", ""], rows, "k n n - -", "narrow", dim)
+        return ShownTable(["", "value", "95 % interval", "unit", ""], rows, "k n n u -", "narrow", dim)
 
     def _parts(self) -> list[str | ShownTable]:
         lead = f"{self.name}: payload {SOURCES[self.source].format(where=self.source_detail)} ({channel_text(self.channel)})"
