@@ -219,8 +219,7 @@ class PayloadEstimate(ShownResult):
     def table(self) -> ShownTable:
         """Every quantity with its interval, and whether it is shown."""
         rows = [
-            [_NAMES.get(q.name, f"inertia {q.name}"), *cells(q), q.unit, "" if q.shown else "not shown"]
-            for q in self.quantities
+            [_NAMES.get(q.name, f"inertia {q.name}"), *cells(q), q.unit, "" if q.shown else "not shown"] for q in self.quantities
         ]
         dim = {k: "dim" for k, q in enumerate(self.quantities) if not q.shown}
         return ShownTable(["", "value", "95 % interval", "unit", ""], rows, "k n n u -", "narrow", dim)
