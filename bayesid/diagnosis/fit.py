@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from bayesid.diagnosis.data import DiagnosisData, term_rows
 from bayesid.diagnosis.grams import schwarz
@@ -346,26 +346,34 @@ def _moved(terms: tuple[Term, ...], free: Sequence[tuple[int, int]], change: np.
 
 
 def distance(best: Fit, index: int) -> tuple[float, int]:
-    """Squared distance from zero of what makes an effect one, in units of its covariance, and how many values were fitted for it.
+    """Squared distance from zero of what makes an effect one, in units of its covariance, and how many values that takes.
 
     That are the parameters that readings are linear in: without a force there is no contact, however well its window and its
-    point are known, and without stiffness no tether. Their covariance is that at the effect's shape: of a friction that is the
-    larger the smaller its coupling is, no single number is known, yet it is there, and beside an uncertain shape the usual Wald
-    distance becomes the smaller the more there is [Hauck1977]_. The shape counts by its values. An effect that has no such
-    parameter, as a delay, is measured by all of its parameters.
+    point are known, and without stiffness no tether. An effect that has none of them, as a delay, is measured by all of its
+    parameters.
+
+    Where the interval of its shape lies within what is plausible, the covariance is that at this shape, whose values count, too:
+    of a friction that is the larger the smaller its coupling is, no single number is known, yet it is there, and beside an
+    uncertain shape the usual distance becomes the smaller the more there is [Hauck1977]_. Else another shape would do with
+    another size.
     """
-    term = best.terms[index]
-    shape = set(term.effect.shape)
-    counts = set(term.effect.parameters) - shape or shape
+    term, settings = best.terms[index], best.projector.data.settings
+    effect, shape = term.effect, set(term.effect.shape)
+    counts = set(effect.parameters) - shape or shape
     own = [(column, k) for column, (owner, k) in enumerate(best.free) if owner == index]
-    at, sizes = [column for column, _ in own], np.array([term.effect.parameters[k] in counts for _, k in own], bool)
-    if term.effect.shape and not best.determined[at][sizes].all():
-        return 0.0, len(at)  # another shape would do with any size
-    values, covariance = np.array([term.values[k] for _, k in own]), best.covariance[np.ix_(at, at)]
+    at, free = [column for column, _ in own], [k for _, k in own]
+    sizes = np.array([effect.parameters[k] in counts for k in free], bool)
+    if shape and not best.determined[at][sizes].all():
+        return 0.0, int(sizes.sum())  # another shape would do with any size
+    values, covariance = np.array(term.values)[free], best.covariance[np.ix_(at, at)]
+    half = norm.ppf(0.5 + 0.5 * settings.interval) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    low, high = (np.array(end)[free] for end in (effect.lower, effect.upper))
+    if sizes.all() or not np.all((values - half >= low) & (values + half <= high) | sizes):
+        return squared_distance(values[sizes], covariance[np.ix_(sizes, sizes)]), int(sizes.sum())
     length = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     precision = np.linalg.pinv(covariance / np.outer(length, length), hermitian=True)[np.ix_(sizes, sizes)]
     scaled = (values / length)[sizes]
-    return float(scaled @ precision @ scaled), len(at)
+    return float(scaled @ precision @ scaled), len(own)
 
 
 def squared_distance(values: np.ndarray, covariance: np.ndarray) -> float:
