@@ -271,6 +271,19 @@ def test_a_size_that_another_shape_would_do_with_is_none(record):
     assert one.free == ((0, 0), (0, 1)) and distance(one, 0) == (pytest.approx(9.0), 2)
     assert differs_from_zero(one, 0) and not differs_from_zero(replace(one, covariance=4.0 * certain), 0)
     assert not differs_from_zero(replace(one, determined=np.array([False, False])), 0)
+    # Stiffness and rest make up for each other: there is a spring, of whatever stiffness.
+    product = replace(one, covariance=np.array([[16.0, -9.9], [-9.9, 6.25]]))
+    assert distance(product, 0) == (pytest.approx(36.0 / (16.0 - 9.9**2 / 6.25)), 2) and differs_from_zero(product, 0)
+    tether = data.places("tether")[0]
+    values = (2.0, 0.5, 1.0, 1.0, 9.0, 0.0, 0.0, 0.0)
+    pulled = fit.fit(nuisance, (Term(tether, values),), steps=0)
+    loose = np.diag([4.0, *[1e-4] * 7])
+    loose[0, 4] = loose[4, 0] = -1.97
+    loose[4, 4] = 1.0  # the anchor may be out of all bounds
+    vague = replace(pulled, covariance=loose, determined=np.ones(8, bool))
+    assert distance(vague, 0) == (pytest.approx(1.0), 1) and not differs_from_zero(vague, 0)
+    nearer = replace(vague, terms=(Term(tether, (*values[:4], 2.0, *values[5:])),))
+    assert distance(nearer, 0)[1] == 8 and differs_from_zero(nearer, 0)
 
 
 def test_a_contact_is_no_excuse(record):
