@@ -370,17 +370,18 @@ def distance(best: Fit, index: int) -> tuple[float, int]:
     low, high = (np.array(end)[free] for end in (effect.lower, effect.upper))
     if sizes.all() or not np.all((values - half >= low) & (values + half <= high) | sizes):
         return squared_distance(values[sizes], covariance[np.ix_(sizes, sizes)]), int(sizes.sum())
-    length = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    precision = np.linalg.pinv(covariance / np.outer(length, length), hermitian=True)[np.ix_(sizes, sizes)]
-    scaled = (values / length)[sizes]
-    return float(scaled @ precision @ scaled), len(own)
+    return float(values[sizes] @ _precision(covariance)[np.ix_(sizes, sizes)] @ values[sizes]), len(own)
 
 
 def squared_distance(values: np.ndarray, covariance: np.ndarray) -> float:
     """Squared distance from zero of values (k,) in units of their covariance (k, k), along what that determines."""
+    return float(values @ _precision(covariance) @ values)
+
+
+def _precision(covariance: np.ndarray) -> np.ndarray:
+    """Inverse of a covariance (k, k), zero along what that does not determine, whatever the units."""
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    scaled = values / size
-    return float(scaled @ np.linalg.pinv(covariance / np.outer(size, size), hermitian=True) @ scaled)
+    return np.linalg.pinv(covariance / np.outer(size, size), hermitian=True) / np.outer(size, size)
 
 
 def wald_evidence(best: Fit, index: int, dispersion: float) -> float:

@@ -50,13 +50,13 @@ def remarks(
     reason: Reason,
     stability: Sequence[Stability | None],
     part: InPart | None = None,
-    worse: bool = False,
+    contradicted: bool = False,
 ) -> tuple[str, ...]:
     """Everything worth knowing beside the verdict: why it is unknown first, then the noise, the model, validation, moments.
 
     ``gap`` is that of the model that is handed on, ``reason`` why its effects are not named without reserve. ``part`` holds
-    effects that held-out recordings prove, where that was asked,
-    and ``worse`` says whether the validation motions deny them once they are fitted to all others.
+    effects that held-out recordings prove, where that was asked, and ``contradicted`` says whether the validation motions deny
+    them once they are fitted to all others.
     """
     data = search.projector.data
     out = _unknown(search, reason) if verdict == "unknown" else []
@@ -66,7 +66,7 @@ def remarks(
             f"{100 * (1.0 - part.remainder):.3g} % of the gap. "
             + (
                 "Fitted to all fitted motions they predict the validation motions no better"
-                if worse
+                if contradicted
                 else "What imitates an effect that the library lacks closes as much"
             )
             + ": not named."

@@ -195,7 +195,7 @@ def _concluded(found: _Decided, seed: int, progress: Progress) -> Diagnosis:
     """The verdict on what was found, and everything that goes with it."""
     s, gap, decided, reason = found.search, found.gap, found.verdict, found.reason
     data: DiagnosisData = s.projector.data
-    part, tried, worse, stays, why = None, None, False, (), reason
+    part, tried, contradicted, stays, why = None, None, False, (), reason
     if decided != "unknown":
         s = found.sure
     else:  # the best attempt is shown as it is
@@ -204,8 +204,8 @@ def _concluded(found: _Decided, seed: int, progress: Progress) -> Diagnosis:
         gap = validate(s.projector, s.base, s.best, s.dispersion, seed, complete=False)
     if tried is not None and named_in_part(tried, data.settings):
         closer = validate(tried.search.projector, tried.search.base, tried.search.best, s.dispersion, seed, complete=False)
-        worse = denied(evidence_of(tried.search, closer), data.settings)
-        if not worse:
+        contradicted = denied(evidence_of(tried.search, closer), data.settings)
+        if not contradicted:
             decided, part, s, gap = "named_in_part", tried, tried.search, closer
             data = s.projector.data
             stays = _places(s, s.best)
@@ -221,7 +221,7 @@ def _concluded(found: _Decided, seed: int, progress: Progress) -> Diagnosis:
         where=_places(s, s.base),
         gap=gap,
         shifts=base_shifts(s) if named else (),
-        remarks=remarks(s, gap, decided, why, parts, tried, worse),
+        remarks=remarks(s, gap, decided, why, parts, tried, contradicted),
         next_experiment=next_experiment(decided, named, poses=data.poses),
         stability=parts if named else (),
         part=part,

@@ -24,10 +24,9 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.design.payload.body import BodyKnowledge, half_interval
 from bayesid.design.payload.likelihood import along_mass, has_valley
-from bayesid.diagnosis.changes.evidence import amplitudes, gain
+from bayesid.diagnosis.changes.evidence import amplitudes
 from bayesid.diagnosis.changes.findings import ReferenceComparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
-from bayesid.diagnosis.changes.scales import WANDER_FACTORS
 from bayesid.diagnosis.changes.selection import Accepted
 from bayesid.effects.bodies import Payload
 from bayesid.errors import InputError
@@ -118,13 +117,8 @@ def from_reference(comparison: ReferenceComparison, joint: int) -> tuple[BodyKno
     s = comparison.selection
     where = f"joint{joint + 1}"
     named = next((a for a in s.accepted if _is_payload(a.change, where)), None)
-    forms = [h for h in s.every if _is_payload(h, where)]
-    if named is not None:
-        evidence = named.evidence
-    else:
-        marginals = [s.marginal(factor=f) for f in WANDER_FACTORS]
-        evidence = max(gain(marginals, h) for h in forms)
-    s = replace(s, accepted=(*(a for a in s.accepted if a is not named), Accepted(forms[0], 1.0, evidence))).for_values
+    form, evidence = (named.change, named.evidence) if named else next(x for x in s.beyond if _is_payload(x[0], where))
+    s = replace(s, accepted=(*(a for a in s.accepted if a is not named), Accepted(form, 1.0, evidence))).for_values
     whole = s.accepted[-1].change
     own, columns = s.directions[-1], whole.columns
     fitted = amplitudes(s.marginal())
