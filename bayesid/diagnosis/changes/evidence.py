@@ -15,7 +15,7 @@ and a change with columns Z adds, with ``V = k 1 + B B'`` and ``W = T^1/2 Z' V^-
 
     -1/2 log det(1 + W) + 1/2 b' (1 + W)^-1 b,    b = T^1/2 Z' V^-1 y.
 
-Z' V^-1 Z of all columns at once comes from the singular vectors of B, so that a hypothesis costs a few numbers.
+Z' V^-1 Z of a few columns comes from the singular vectors of B, so that a hypothesis costs a few numbers.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
-from bayesid.diagnosis.changes.hypotheses import Hypothesis, SharedAmplitudes
+from bayesid.diagnosis.changes.hypotheses import Hypothesis
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
 from bayesid.estimators.factor import stack
 
@@ -67,78 +67,83 @@ class Marginal:
     prior: float = 0.0  # log probability of that factor beforehand
 
     @cached_property
-    def _parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """``y' V^-1 y`` with the rest of the null's log density (K,), ``Z' V^-1 y`` (K, q), ``Z' V^-1 Z`` (K, q, q)."""
-        a, y = self.data.columns, self.data.target - self.data.columns @ self.mean
-        u, s, _ = np.linalg.svd(a @ self.known, full_matrices=False)
-        inside, along = u.T @ a, u.T @ y
-        rest, beside, left = a.T @ a - inside.T @ inside, a.T @ y - inside.T @ along, float(y @ y - along @ along)
-        null, vectors, grams = [], [], []
-        for k in DISPERSIONS:
-            weight = 1.0 / (k + s**2)
-            size = self.data.rows * np.log(k) + np.log1p(s**2 / k).sum()
-            null.append(self.prior - 0.5 * (size + left / k + along @ (weight * along)))
-            vectors.append(beside / k + inside.T @ (weight * along))
-            grams.append(rest / k + inside.T @ (weight[:, None] * inside))
-        return np.array(null), np.array(vectors), np.array(grams)
+    def _within(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Singular values of B (r,), and what their left vectors take of the columns (r, q) and of the target (r,)."""
+        u, s, _ = np.linalg.svd(self.data.columns @ self.known, full_matrices=False)
+        return s, u.T @ self.data.columns, u.T @ self._target
+
+    @cached_property
+    def _target(self) -> np.ndarray:
+        """What is left beside the expected amplitudes (q + 1,)."""
+        return self.data.target - self.data.columns @ self.mean
+
+    @cached_property
+    def _null(self) -> np.ndarray:
+        """Log density of the data without a further change by dispersion (K,), but for a constant."""
+        (s, _, along), y, k = self._within, self._target, DISPERSIONS[:, None]
+        size = self.data.rows * np.log(DISPERSIONS) + np.log1p(s**2 / k).sum(axis=1)
+        return self.prior - 0.5 * (size + (y @ y - along @ along) / DISPERSIONS + (along**2 / (k + s**2)).sum(axis=1))
 
     @property
     def null(self) -> float:
         """Log density of the data without a further change, but for a constant."""
-        return float(self._parts[0].max())
+        return float(self._null.max())
 
     @property
     def dispersion(self) -> float:
         """The dispersion that suits best without a further change."""
-        return float(DISPERSIONS[int(np.argmax(self._parts[0]))])
+        return float(DISPERSIONS[int(np.argmax(self._null))])
 
-    def _shared(self, both: SharedAmplitudes) -> np.ndarray:
-        """Directions of unit variance of an effect that is in both recordings: it wanders, and is known so well (2 k, m)."""
-        return np.asarray(block_diag(self.factor * np.diag(both.wander), both.root))
+    def _products(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """``Z' V^-1 Z`` (K, k, k) and ``Z' V^-1 y`` (K, k) of some columns, by dispersion."""
+        s, inside, along = self._within
+        z = np.column_stack([self.data.columns[:, columns], self._target])
+        within = np.column_stack([inside[:, columns], along])
+        weighted = within / (DISPERSIONS[:, None, None] + s[:, None] ** 2)
+        both = (z.T @ z - within.T @ within) / DISPERSIONS[:, None, None] + within.T @ weighted
+        return both[:, :-1, :-1], both[:, :-1, -1]
+
+    def _with_shared(self, change: Hypothesis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Log density without a change (K,), and products of its columns as `_products`, what is in both recordings counted."""
+        if (both := change.shared) is None:
+            return self._null, *self._products(change.columns)
+        gram, vector = self._products(np.concatenate([change.columns, both.columns]))
+        own = len(change.columns)
+        mean = np.concatenate([np.zeros(own), both.mean])
+        null = self._null + vector @ mean - 0.5 * np.einsum("i,kij,j->k", mean, gram, mean)
+        vector = vector - gram @ mean
+        # Directions of unit variance: the effect wanders, and is known so well.
+        root = np.asarray(block_diag(self.factor * np.diag(both.wander), both.root))
+        lower = np.linalg.cholesky(np.eye(root.shape[1]) + root.T @ gram @ root)
+        seen = np.linalg.solve(lower, root.T @ np.concatenate([gram[:, :, :own], vector[:, :, None]], axis=2))
+        left, along = seen[:, :, :own].transpose(0, 2, 1), seen[:, :, own]
+        null = null + 0.5 * np.sum(along**2, axis=1) - np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+        return null, gram[:, :own, :own] - left @ seen[:, :, :own], vector[:, :own] - (left @ along[:, :, None])[:, :, 0]
 
     def information(self, change: Hypothesis) -> np.ndarray:
         """Precision to which the data show amplitudes of a change (k, k), at the best dispersion."""
-        gram = self._parts[2][int(np.argmax(self._parts[0]))]
-        own = np.ix_(change.columns, change.columns)
-        if (both := change.shared) is None:
-            return gram[own]
-        at = np.concatenate([change.columns, both.columns])
-        always = self._shared(both)
-        seen = gram[np.ix_(change.columns, at)] @ always
-        inner = np.eye(len(always.T)) + always.T @ gram[np.ix_(at, at)] @ always
-        return gram[own] - seen @ np.linalg.solve(inner, seen.T)
+        return self._with_shared(change)[1][int(np.argmax(self._null))]
 
     def curves(self, change: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
         """Log density by dispersion (K,) without a change, and with it by size of its prior, too (sizes, K).
 
         Of an effect that the reference's model does not have, what is in both recordings is in both densities.
         """
-        null, vectors, grams = self._parts
-        columns, always = change.columns, np.zeros((len(change.columns), 0))
-        if (both := change.shared) is not None:
-            columns = np.concatenate([columns, both.columns])
-            always = self._shared(both)
-        gram, vector = grams[:, columns[:, None], columns], vectors[:, columns]
-        if both is not None:
-            mean = np.concatenate([np.zeros(len(change.columns)), both.mean])
-            null = null + vector @ mean - 0.5 * np.einsum("i,kij,j->k", mean, gram, mean)
-            vector = vector - gram @ mean
-        added = np.vstack([np.diag(change.sizes), np.zeros((len(columns) - len(change.sizes), len(change.sizes)))])
-        without = null + added_evidence(gram, vector, always)
-        with_it = [null + added_evidence(gram, vector, np.hstack([always, size * added])) for size in SIZES]
-        return without, np.array(with_it)
+        null, gram, vector = self._with_shared(change)
+        return null, null + added_evidence(gram, vector, change.sizes)
 
 
-def added_evidence(gram: np.ndarray, vector: np.ndarray, root: np.ndarray) -> np.ndarray:
-    """Log evidence that columns with Gram matrices (K, k, k) and products with the target (K, k) add.
+def added_evidence(gram: np.ndarray, vector: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Log evidence that columns with Gram matrices (K, k, k) and products with the target (K, k) add, by size (sizes, K).
 
-    Beforehand the amplitudes have a covariance of root (k, m).
+    Beforehand the amplitudes have standard deviations of the typical sizes (k,) times each of `SIZES`: one eigendecomposition of
+    W does for all of them.
     """
-    if not root.shape[1]:
-        return np.zeros(len(vector))
-    lower = np.linalg.cholesky(np.eye(root.shape[1]) + root.T @ gram @ root)
-    z = np.linalg.solve(lower, (vector @ root)[:, :, None])[:, :, 0]
-    return 0.5 * np.sum(z**2, axis=1) - np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+    values, vectors = np.linalg.eigh(sizes[:, None] * gram * sizes)
+    along = ((vector * sizes)[:, None, :] @ vectors)[:, 0]
+    square = np.square(SIZES)[:, None, None]
+    spread = square * np.maximum(values, 0.0)
+    return 0.5 * np.sum(square * along**2 / (1.0 + spread) - np.log1p(spread), axis=2)
 
 
 def gain(marginals: Iterable[Marginal], change: Hypothesis) -> float:

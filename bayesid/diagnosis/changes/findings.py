@@ -59,9 +59,8 @@ def _smallest(marginal: Marginal, change: Hypothesis, needed: float) -> float:
     low, high = 1e-6 * change.sizes[0], 1e3 * change.sizes[0]
 
     def evidence(value: float) -> float:
-        seen = gram @ (value * typical)
-        added = [added_evidence(gram[None], seen[None], np.diag(size * change.sizes))[0] for size in SIZES]
-        return float(np.logaddexp.reduce(added) - np.log(len(SIZES)))
+        added = added_evidence(gram[None], (gram @ (value * typical))[None], change.sizes)
+        return float(np.logaddexp.reduce(added[:, 0]) - np.log(len(SIZES)))
 
     if evidence(high) < needed:
         return float("inf")
