@@ -17,10 +17,9 @@ from bayesid.design.bounds.workspace import Workspace
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.figures import CLASSES, DENSE, GREY, PREDICTED, add_legend, make_grid, picked, styled, tidy_time
 from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, run_times, svg, versions, warnings
-from bayesid.results.bounds import ControllerBounds, TrajectoryBands, joints
+from bayesid.results.bounds import ControllerBounds, TrajectoryBands, band_table, bands_of, joints
 from bayesid.results.files import report_of
 from bayesid.results.text import channel_text, ends, number, percent, with_half
-from bayesid.rounding import HALF
 from bayesid.section import Part, ShownSection, ShownTable
 
 _BLUE = CLASSES["alone"]
@@ -30,7 +29,7 @@ _PARAMETERS = 20
 
 @styled
 def band_figure(band: Band, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
-    """Readings of a trajectory with their bands; below each, half the simultaneous band, which is often too thin to be seen."""
+    """Readings of a trajectory with their bands; below each, half their widths, which are often too thin to be seen."""
     chosen = picked(band.names, channels)
     count = len(chosen)
     columns = 2 if count > 1 and ax is None else 1
@@ -40,15 +39,15 @@ def band_figure(band: Band, channels: Sequence[str] | str | None = None, ax: Any
     for at, k in enumerate(chosen):
         name, unit = band.names[k], band.units[k]
         ax, below = axes[2 * (at // columns), at % columns], axes[2 * (at // columns) + 1, at % columns]
-        low, high = band.low[:, k], band.high[:, k]
-        ax.fill_between(band.times, low, high, color=_BLUE, alpha=0.25, lw=0, label="95 %, whole trajectory")
+        both = (
+            ("simultaneous", "all samples at once", 0.15, "-", band.low, band.high, band.half_width),
+            ("pointwise", "95 % of the samples", 0.4, "--", band.pointwise_low, band.pointwise_high, band.pointwise_half_width),
+        )
+        for kind, holds, alpha, style, low, high, half in both:
+            ax.fill_between(band.times, low[:, k], high[:, k], color=_BLUE, alpha=alpha, lw=0, label=f"{kind}: {holds}")
+            below.plot(band.times, half[:, k], color=_BLUE, lw=0.9, ls=style, label=f"half {kind}", rasterized=dense)
         ax.plot(band.times, band.values[:, k], color=PREDICTED, lw=0.9, label="predicted", rasterized=dense)
         ax.set_title(f"{name} [{unit}]")
-        below.plot(band.times, band.factor * band.std[:, k], color=_BLUE, lw=0.9, label="half the band", rasterized=dense)
-        below.plot(
-            band.times, band.pointwise_high[:, k] - band.values[:, k], color=GREY, lw=0.8, ls="--", label="sample by sample",
-            rasterized=dense,
-        )  # fmt: skip
         below.set_ylim(bottom=0.0)
         for panel in (ax, below):
             panel.yaxis.set_major_locator(MaxNLocator(3))
@@ -205,8 +204,8 @@ def _cards(result: ControllerBounds) -> list[tuple[str, str, str]]:
     ]
     if result.trajectories:
         name, t = result.trajectories[0].name, result.trajectories[0].torque
-        widest = float((HALF * t.std).mean() / max(float(np.abs(t.values).mean()), 1e-300))
-        large.append((percent(widest, 2), f"mean half width of the 95 % band, sample by sample, of the torques of ‘{name}’", ""))
+        widest = float(t.pointwise_half_width.mean() / max(float(np.abs(t.values).mean()), 1e-300))
+        large.append((percent(widest, 2), f"mean half width of the pointwise 95 % band, of the torques of ‘{name}’", ""))
     if result.remainder is not None:
         large.append((percent(float(result.remainder.share.max()), 2), "of the worst joint’s torque is not explained", ""))
     return large
@@ -261,28 +260,13 @@ def _trajectory(t: TrajectoryBands, index: int) -> Part:
     for k, (title, b) in enumerate((("Joint torques", t.torque), ("Wrench on the sensor", t.wrench))):
         if b is not None:
             parts += [
-                f"**{title}**: the whole trajectory is within {number(b.factor, 3)} standard deviations with probability 95 %.",
+                f"**{title}**: {bands_of(b)}",
                 figure(svg(band_figure(b), f"band-{index}-{k}"),
-                       "Predicted readings with the band that holds the whole trajectory; below each, half its width beside "
-                       "that of the band that holds sample by sample."),
-                _channels(b),
+                       "Predicted readings with both bands; below each, half their widths."),
+                band_table(b),
             ]  # fmt: skip
     given = "" if t.given else f" (a motion of the experiment; give another with {argument('trajectories')})"
     return below(f"{t.name}{given}", *parts)
-
-
-def _channels(b: Band) -> ShownTable:
-    largest, half = np.abs(b.values).max(axis=0), b.factor * b.std.max(axis=0)
-    usual, lacks = HALF * b.std.mean(axis=0), HALF * b.model_error.mean(axis=0)
-    rows = [
-        [n, u, number(x, 3), number(m, 2), number(r, 2), number(h, 2), (number(e, 2), "bad" if e > FAR else "")]
-        for n, u, x, m, r, h, e in zip(b.names, b.units, largest, usual, lacks, half, b.extrapolation, strict=True)
-    ]
-    head = [
-        "channel", "unit", "largest", "half band, sample by sample, mean", "of it what the model lacks",
-        "half band, whole trajectory, largest", "parameters’ std over that of the fitted motions",
-    ]  # fmt: skip
-    return ShownTable(head, rows, "k - n nb n n n", "tight")
 
 
 def _how(result: ControllerBounds) -> list[tuple[str, str]]:

@@ -23,7 +23,7 @@ from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL
 from bayesid.estimators.parameters import EstimatedParameter
 from bayesid.results.files import Files, ShownResult
-from bayesid.results.text import number, percent
+from bayesid.results.text import HALF, number, percent
 from bayesid.results.urdf_links import joint_dynamics
 from bayesid.robot.urdf import write_urdf
 from bayesid.section import Part, ShownTable
@@ -394,7 +394,10 @@ class ControllerBounds(ShownResult):
         title = f"{known.problem.experiment.name}: bounds for controllers from the {known.source} ({known.method})."
         facts = [f"{name}: {text}" for name, text in self._facts()]
         warned = [f"warning: {w}" for w in self.warnings]
-        return [f"{title} {self.headline}", *warned, *facts, joints(self.workspace, self.inside), self._torques()]
+        bands: list[Part] = []
+        for t in self.trajectories:
+            bands += [f"{t.name}, joint torques: {bands_of(t.torque)}", band_table(t.torque)]
+        return [f"{title} {self.headline}", *warned, *facts, joints(self.workspace, self.inside), *bands]
 
     @property
     def headline(self) -> str:
@@ -426,14 +429,6 @@ class ControllerBounds(ShownResult):
             out.append(("other uncertainty", f"99 % of the torques of {kind} within {bounds}"))
         return out
 
-    def _torques(self) -> ShownTable:
-        rows = [
-            [t.name, ", ".join(number(x, 2) for x in t.torque.factor * t.torque.std.max(axis=0)),
-             ", ".join(number(x, 2) for x in t.torque.extrapolation)]
-            for t in self.trajectories
-        ]  # fmt: skip
-        return ShownTable(["trajectory", "torque: half band, by joint", "std over that of the fitted motions"], rows)
-
 
 def _for_matlab(t: TrajectoryBands) -> dict[str, Any]:
     out = {"name": t.name, "t": t.torque.times, "q": t.positions}
@@ -458,12 +453,12 @@ def headline(left: Remainder | None, fitted: Sequence[str]) -> str:
         return f"{sets}; so do bands: noise and parameters explain all that is left of {named}, {where}."
     if left.held_out:
         return (
-            f"{sets}. Bands of torques hold 95 % of the samples of motions like {named}, not fitted: what is left there, "
-            "which no parameter explains, is in them."
+            f"{sets}. Pointwise bands of torques hold 95 % of the samples of motions like {named}, not fitted: what is left "
+            "there, which no parameter explains, is in them."
         )
     return (
-        f"{sets}. Bands of torques hold 95 % of the samples of motions like {', '.join(fitted)}, with the robot as warm and "
-        "worn as it was then: no motion was held out, so nothing shows another kind of motion or another day."
+        f"{sets}. Pointwise bands of torques hold 95 % of the samples of motions like {', '.join(fitted)}, with the robot as "
+        "warm and worn as it was then: no motion was held out, so nothing shows another kind of motion or another day."
     )
 
 
@@ -484,3 +479,25 @@ def joints(w: Workspace, inside: InsideJoints) -> ShownTable:
              number(gravity[j], 3), number(error[j], 2), rotor, "identified" if known else friction]
         )  # fmt: skip
     return ShownTable(head, rows, style="narrow")
+
+
+def bands_of(b: Band) -> str:
+    """What the two bands of a trajectory hold."""
+    return (
+        f"the pointwise band is {number(HALF, 3)} standard deviations to each side and holds 95 % of the samples, the "
+        f"simultaneous one {number(b.factor, 3)} and holds all samples at once with probability 95 %. The table has half of each, the mean."
+    )
+
+
+def band_table(b: Band) -> ShownTable:
+    """Bands of a trajectory, channel by channel."""
+    columns = (
+        np.abs(b.values).max(axis=0), b.pointwise_half_width.mean(axis=0), HALF * b.model_error.mean(axis=0),
+        b.half_width.mean(axis=0), b.extrapolation,
+    )  # fmt: skip
+    rows = [
+        [n, u, number(x, 3), number(p, 2), number(r, 2), number(h, 2), (number(e, 2), "bad" if e > FAR else "")]
+        for n, u, x, p, r, h, e in zip(b.names, b.units, *columns, strict=True)
+    ]
+    head = ["channel", "unit", "largest", "pointwise ±", "± of model error alone", "simultaneous ±", "std over fitted motions’"]
+    return ShownTable(head, rows, "k - n nb n n n", "tight")

@@ -78,7 +78,9 @@ def tables(r: dict[str, Any]) -> dict[str, str]:
         "sets": table("readings | rank | known better than a link's size | condition number", sets),
         "missing": table("effect left out | largest bias [standard deviations] | error of predictions", missing),
         "torques": table(
-            "joint | largest torque [N m] | half band [N m] | std over that of the fitted motion | gravity's error [N m]", rows
+            "joint | largest torque [N m] | half of the simultaneous band, largest [N m] | std over that of the fitted motion | "
+            "gravity's error [N m]",
+            rows,
         ),
         "control": table("controller | largest error [mrad] | rms [mrad] | bounds of the joints [mrad] | kept", control),
     }

@@ -49,7 +49,7 @@ def test_a_table_that_is_too_wide_is_folded_beside_its_first_column():
 
 def test_tables_one_below_the_other_are_folded_apart():
     one = ["  joint       inertia   error  gravity", "  joint1  1.72 … 2.84  0.42 %     33.2"]
-    other = ["  trajectory  half band, by joint  std", "  validation          0.095, 0.21    1"]
+    other = ["  channel  unit  pointwise ±  std", "  tau1      N m        0.095    1"]
     assert folded(one + other, 30) == [*folded(one, 30), *folded(other, 30)]
     assert max(map(len, folded(one + other, 34))) <= 34
 

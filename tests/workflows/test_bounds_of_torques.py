@@ -1,6 +1,7 @@
 """Bounds from joint torques: centre, sums that no motion takes apart, model error counted once, files for other programs."""
 
 import json
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -118,6 +119,27 @@ def test_bands_hold_the_torques_of_motions_that_nobody_has_shown(robot, lacking,
     assert np.sqrt(np.mean(gear(np.linspace(-1, 1, 999)[:, None]) ** 2, axis=0)) == pytest.approx(
         np.sqrt(np.mean(band.model_error**2, axis=0)), rel=0.35
     )
+
+
+def test_what_is_printed_beside_95_percent_of_the_samples_holds_95_percent(lacking):
+    """The held-out motion, by what was recorded: half of each band that is printed beside the errors that it is said to hold."""
+    bounds = lacking[1]
+    t, q, v, a = fourier(bounds.torque_model.robot, 1)
+    error = np.abs(recorded(bounds.torque_model.robot, 1, 1.0).torques - bounds.torque(q, v, a, t).values)
+    text, shown = str(bounds), bounds.trajectories[0].torque.to_dict()
+    head, *rows = (line for line in text.splitlines() if line.startswith(("  channel ", "  tau")))
+    assert "pointwise band" in text and re.split(" {2,}", head.strip())[3:6:2] == ["pointwise ±", "simultaneous ±"]
+    for j, row in enumerate(rows):
+        pointwise, _, simultaneous = map(float, row.split()[-4:-1])
+        assert pointwise == pytest.approx(np.quantile(error[:, j], 0.95), rel=0.4)
+        assert (
+            0.8 * np.quantile(error[:, j], 0.999)
+            < simultaneous
+            == pytest.approx(shown["mean_simultaneous_half_width"][j], rel=0.06)
+        )
+        assert pointwise == pytest.approx(shown["mean_pointwise_half_width"][j], rel=0.06) != simultaneous
+        assert shown["largest_simultaneous_half_width"][j] >= shown["mean_simultaneous_half_width"][j]
+    assert "Pointwise bands of torques hold 95 % of the samples" in bounds.headline
 
 
 def test_more_data_do_not_make_bounds_useless(robot, lacking):

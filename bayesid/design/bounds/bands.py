@@ -2,9 +2,10 @@
 
 A reading is ``y = c + A x + e`` with parameters x of mean x_hat and covariance V, and an error e of the model beyond its
 parameters, of standard deviation r (`bayesid.design.bounds.remainder`): its standard deviation is ``s = sqrt(A V A' + r^2)``.
-Pointwise, 95 % have ``|z| <= 1.96`` with ``z = (A (x - x_hat) + e) / s``; for the whole trajectory and all its channels at once,
-``|z| <= c`` with c the 95 % quantile of ``max_t |z|`` over draws of x, each with a piece of the errors that were found in the
-recordings. How much further a motion goes than those that were fitted is given by ``sqrt(A V A')`` over its largest value there.
+The pointwise band holds 95 % of the samples, those with ``|z| <= 1.96`` for ``z = (A (x - x_hat) + e) / s``. The simultaneous one
+holds the whole trajectory and all its channels at once with probability 95 %: ``|z| <= c`` with c the 95 % quantile of
+``max_t |z|`` over draws of x, each with a piece of the errors that were found in the recordings. How much further a motion goes
+than those that were fitted is given by ``sqrt(A V A')`` over its largest value there.
 """
 
 from __future__ import annotations
@@ -46,24 +47,34 @@ class Band:
         return f"<Band: {len(self.values)} samples of {', '.join(self.names)}, {self.factor:.3g} standard deviations wide>"
 
     @property
+    def half_width(self) -> np.ndarray:
+        """Half the simultaneous band, which holds all samples at once (N, c)."""
+        return self.factor * self.std
+
+    @property
     def low(self) -> np.ndarray:
         """Lower ends of the simultaneous band (N, c)."""
-        return self.values - self.factor * self.std
+        return self.values - self.half_width
 
     @property
     def high(self) -> np.ndarray:
         """Upper ends of the simultaneous band (N, c)."""
-        return self.values + self.factor * self.std
+        return self.values + self.half_width
+
+    @property
+    def pointwise_half_width(self) -> np.ndarray:
+        """Half the pointwise band, which holds 95 % of the samples (N, c)."""
+        return HALF * self.std
 
     @property
     def pointwise_low(self) -> np.ndarray:
-        """Lower ends of the band that holds 95 % sample by sample (N, c)."""
-        return self.values - HALF * self.std
+        """Lower ends of the pointwise band (N, c)."""
+        return self.values - self.pointwise_half_width
 
     @property
     def pointwise_high(self) -> np.ndarray:
-        """Upper ends of the band that holds 95 % sample by sample (N, c)."""
-        return self.values + HALF * self.std
+        """Upper ends of the pointwise band (N, c)."""
+        return self.values + self.pointwise_half_width
 
     @property
     def far(self) -> tuple[str, ...]:
@@ -75,8 +86,10 @@ class Band:
         return {
             "channels": list(self.names), "units": list(self.units), "samples": len(self.values),
             "simultaneous_factor": self.factor, "extrapolation": self.extrapolation.tolist(),
-            "largest_value": np.abs(self.values).max(axis=0).tolist(), "largest_half_width": (
-                self.factor * self.std.max(axis=0)).tolist(),
+            "largest_value": np.abs(self.values).max(axis=0).tolist(),
+            "mean_pointwise_half_width": self.pointwise_half_width.mean(axis=0).tolist(),
+            "mean_simultaneous_half_width": self.half_width.mean(axis=0).tolist(),
+            "largest_simultaneous_half_width": self.half_width.max(axis=0).tolist(),
         }  # fmt: skip
 
 
