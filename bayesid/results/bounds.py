@@ -485,7 +485,8 @@ def bands_of(b: Band) -> str:
     """What the two bands of a trajectory hold."""
     return (
         f"the pointwise band is {number(HALF, 3)} standard deviations to each side and holds 95 % of the samples, the "
-        f"simultaneous one {number(b.factor, 3)} and holds all samples at once with probability 95 %. The table has half of each, the mean."
+        f"simultaneous one {number(b.factor, 3)} and holds all samples at once with probability 95 %. The table has half of "
+        "each, the mean."
     )
 
 
