@@ -237,4 +237,4 @@ def test_the_command_line_writes_all_files(folder, capsys, tmp_path, undrawn):
     options = ["--estimate", str(folder / "estimate"), "--trajectory", str(folder / "move.csv"), "--configurations", "16"]
     assert main(["bounds", str(folder / "arm"), *options, "--urdfs", "1", "--out", str(out)]) == 0
     assert {p.name for p in out.iterdir()} == {"bounds.json", "bounds.mat", "identified.urdf", "sampled-001.urdf", "report.html"}
-    assert "  move  " in capsys.readouterr().out
+    assert "  move, joint torques: " in capsys.readouterr().out
