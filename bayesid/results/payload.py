@@ -31,7 +31,10 @@ SOURCES = {
     "reference": "what changed since {where}",
     "nominal": "beside the nominal model, whose inertias are trusted to {where}",
 }
-_NAMES = {"m": "mass", "x": "centre of mass x", "y": "centre of mass y", "z": "centre of mass z"}
+_NAMES = {
+    "m": "mass", "x": "centre of mass x", "y": "centre of mass y", "z": "centre of mass z",
+    **{f"mc{k}": f"first moment mc{k}" for k in "xyz"},
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,10 @@ class PayloadEstimate(ShownResult):
         What the data say of its ten parameters, whether such a body can exist or not; all values below are of one that can.
     mass, centre, inertia
         Its quantities; intervals hold those of every model that the readings cannot tell from the best one.
+    first_moment
+        Mass times centre of mass, which readings may show where they do not show the mass.
+    never_shown
+        Which of its ten parameters no motion of this robot shows to these readings (10,).
     extent
         No part of it is farther from its centre of mass [m]; what bounds an inertia that is not shown rests on it.
     extent_assumed
@@ -95,6 +102,8 @@ class PayloadEstimate(ShownResult):
     mass: Quantity
     centre: tuple[Quantity, ...]
     inertia: tuple[Quantity, ...]
+    first_moment: tuple[Quantity, ...]
+    never_shown: np.ndarray
     extent: float
     extent_assumed: bool
     plain: tuple[Quantity, ...]
@@ -176,7 +185,8 @@ class PayloadEstimate(ShownResult):
         """
         missing = [_NAMES[q.name] for q in (self.mass, *self.centre) if not q.shown]
         if missing:
-            raise InputError(f"export: these data do not show the {', '.join(missing)}; record more poses that differ in tilt")
+            helps = "no motion of this robot does" if self.never_shown[:4].any() else "record more poses that differ in tilt"
+            raise InputError(f"export: these data do not show the {', '.join(missing)}; {helps}")
         return Load(
             self.mass.value, self.centre_of_mass, self.inertia_about_centre, self.frame, self.world, self.gravity,
             self.sensor_frame, self.centre_in_sensor,
@@ -217,11 +227,11 @@ class PayloadEstimate(ShownResult):
 
     @property
     def table(self) -> ShownTable:
-        """Every quantity with its interval, and whether it is shown."""
-        rows = [
-            [_NAMES.get(q.name, f"inertia {q.name}"), *cells(q), q.unit, "" if q.shown else "not shown"] for q in self.quantities
-        ]
-        dim = {k: "dim" for k, q in enumerate(self.quantities) if not q.shown}
+        """Every quantity with its interval, and whether it is shown; first moments where the mass is not."""
+        instead = () if self.mass.shown else tuple(q for q in self.first_moment if q.shown)
+        quantities = (self.mass, *instead, *self.centre, *self.inertia)
+        rows = [[_NAMES.get(q.name, f"inertia {q.name}"), *cells(q), q.unit, "" if q.shown else "not shown"] for q in quantities]
+        dim = {k: "dim" for k, q in enumerate(quantities) if not q.shown}
         return ShownTable(["", "value", "95 % interval", "unit", ""], rows, "k n n u -", "narrow", dim)
 
     def _parts(self) -> list[str | ShownTable]:
@@ -237,6 +247,7 @@ class PayloadEstimate(ShownResult):
             "carried_by": self.carrier, "frame": self.frame,
             "mass": self.mass.to_dict(),
             "centre_of_mass": _together(self.centre),
+            "first_moment": _together(self.first_moment),
             "inertia": _together(self.inertia),
             "inertia_bound": {
                 "value": self.inertia_bound, "unit": "kg m^2", "extent": self.extent, "assumed": self.extent_assumed,
@@ -245,7 +256,8 @@ class PayloadEstimate(ShownResult):
             "parameters": {
                 "names": list(PARAMETERS), "values": self.body.possible.mean.tolist(),
                 "covariance": self.body.covariance.tolist(),
-                "determined": self.body.shown.tolist(), "degrees_of_freedom": self.body.freedom,
+                "determined": self.body.shown.tolist(), "shown_by_no_motion": self.never_shown.tolist(),
+                "degrees_of_freedom": self.body.freedom,
             },
             "sensor_offset": {q.name: q.to_dict() for q in self.offset} or None,
             "centre_in_sensor": None if self.centre_in_sensor is None else self.centre_in_sensor.tolist(),

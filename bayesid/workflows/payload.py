@@ -17,6 +17,8 @@ from bayesid.design.payload.knowledge import (
     from_reference,
     from_sensor,
     in_frame,
+    named_payload,
+    of_any_motion,
     weighed_alone,
 )
 from bayesid.design.payload.poses import NextPoses, next_poses
@@ -29,7 +31,8 @@ from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.readings import default_channel
 from bayesid.results.beside import EffectBeside
 from bayesid.results.payload import NEXT_POSES, PayloadEstimate
-from bayesid.results.text import number, percent, with_half
+from bayesid.results.text import channel_text, number, percent, with_half
+from bayesid.robot.inertia import PARAMETERS
 from bayesid.workflows.diagnose import diagnose
 from bayesid.workflows.explained import Explained, explain, offset_of
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
@@ -69,6 +72,7 @@ class _Found:
     body: int
     known: BodyKnowledge
     plain: BodyKnowledge
+    any_motion: BodyKnowledge  # what the richest motion would show of it
     rivals: tuple[BodyKnowledge, ...] = ()
     effects: tuple[EffectBeside, ...] = ()
     verdict: str | None = None
@@ -182,8 +186,10 @@ def payload(
     known = own.possible
     plain, _ = in_frame(found.plain.possible, experiment, found.body, frame)
     others = [in_frame(k.possible, experiment, found.body, frame)[0] for k in found.rivals]
+    any_motion, _ = in_frame(found.any_motion, experiment, found.body, name)
     mass = known.mass.joined(tuple(k.mass for k in others))
     centre = _joined(known.centre, [k.centre for k in others])
+    first_moment = _joined(known.first_moment, [k.first_moment for k in others])
     moments = _joined(known.inertia, [k.inertia for k in others])
     reach = [abs(q.value) for q in centre if q.shown]
     assumed = max(_EXTENT * float(np.linalg.norm(reach)), _SMALLEST_EXTENT)
@@ -191,7 +197,8 @@ def payload(
     carrier = experiment.robot.body_names[found.body]
     result = PayloadEstimate(
         name=experiment.name, channel=read, source=source, source_detail=detail, carrier=carrier, frame=name, body=own,
-        mass=mass, centre=centre, inertia=moments, extent=assumed if extent is None else float(extent),
+        mass=mass, centre=centre, inertia=moments, first_moment=first_moment, never_shown=~any_motion.shown,
+        extent=assumed if extent is None else float(extent),
         extent_assumed=extent is None,
         plain=(plain.mass, *plain.centre), effects=found.effects, verdict=found.verdict, offset=found.offset,
         sensor_frame=urdf.joints[detail].child if source == "sensor" else None,
@@ -218,7 +225,7 @@ def _weighed(asked: _Asked, body: int) -> _Found:
         more = next_poses(last.problem, last.estimate, body, asked.target, asked.seed)
         sentences = [_next_sentence(more), *sentences]
     return _Found(
-        body, known, plain, tuple(others), found.effects, found.verdict, offset, more=more,
+        body, known, plain, of_any_motion(last.problem, body), tuple(others), found.effects, found.verdict, offset, more=more,
         sentences=(*sentences, *_beside(found.effects, plain), _COMMON_GAIN),
         warnings=(
             *impossible_signs(last.estimate, last.problem), *_notes(found, plain, known), *contradictions(found.first.agreements)
@@ -240,7 +247,7 @@ def _beside_nominal(asked: _Asked, joint: str | None, rel_std: float) -> _Found:
         else f"The nominal model contributes {percent(share, 2)} of the mass's variance."
     )
     return _Found(
-        body, known, plain, tuple(others), found.effects, found.verdict, share=share,
+        body, known, plain, of_any_motion(found.best.problem, body), tuple(others), found.effects, found.verdict, share=share,
         sentences=(says, *_beside(found.effects, plain)),
         warnings=(*_notes(found, plain, known), *contradictions(found.first.agreements)),
     )  # fmt: skip
@@ -281,25 +288,31 @@ def _since(asked: _Asked, before: Experiment, joint: str | None) -> _Found:
     at = carrying_joint(experiment.robot, joint)
     known, evidence = from_reference(found, at)
     here = f"joint{at + 1}"
-    named = any(c.change.name == "payload" and c.change.where == here for c in found.changes)
+    stands_for = named_payload(found, at)
+    named = stands_for is not None
     others = tuple(
         EffectBeside(
             c.change.name, c.change.where, {v.name: (v.value, v.std, v.unit) for v in c.values},
             tuple(f"{h.name}@{h.where}" for h, _ in c.found.rivals),
         )
         for c in found.changes
-        if (c.change.name, c.change.where) != ("payload", here)
+        if stands_for is None or c.found is not stands_for[0]
     )  # fmt: skip
     warnings = []
     if not named:
         what = f"what changed is {', '.join(e.spec for e in others)}" if others else "nothing that changed is named"
+        what += "".join(f"; if that is the payload: {argument('joint', e.where)}" for e in others if e.name == "payload")
         warnings.append(
             f"The comparison does not name a payload at {here} (log evidence {number(evidence, 3)}, needed "
             f"{number(found.settings.accept, 3)}): {what}. The intervals tell which payload these recordings would not show."
         )
-    rivals = [f"{h.name}@{h.where}" for c in found.changes if c.change.where == here for h, _ in c.found.rivals]
-    if named and rivals:
-        warnings.append(f"These recordings do not tell the payload from {', '.join(rivals)}.")
+    if stands_for is not None:
+        accepted, form, _ = stands_for
+        rivals = [h.spec for h in (accepted.change, *(h for h, _ in accepted.rivals)) if h is not form]
+        if rivals:
+            warnings.append(
+                f"These recordings do not tell the payload at {here} from {', '.join(rivals)}; the values hold if it is there."
+            )
     said = [f"Since {before.name} a payload at {here} came: log evidence {number(evidence, 3)}."] if named else []
     if named and others:
         said.append(f"Beside it changed: {', '.join(e.spec for e in others)}.")
@@ -307,7 +320,8 @@ def _since(asked: _Asked, before: Experiment, joint: str | None) -> _Found:
         warnings.append("More changed since the reference than is named; the intervals do not count it.")
     body = body_of(found.reference.robot, at)
     return _Found(
-        body, known, known, effects=others, verdict=changes.verdict, evidence=evidence, sentences=tuple(said),
+        body, known, known, of_any_motion(found.reference.problem, body), effects=others,
+        verdict=changes.verdict, evidence=evidence, sentences=tuple(said),
         warnings=tuple(warnings),
     )  # fmt: skip
 
@@ -364,18 +378,35 @@ def _not_shown(result: PayloadEstimate) -> list[str]:
             f"The mass comes out negative, {number(float(body.mean[0]), 3)} kg: sign, axes or order of the readings are not as "
             f"they are taken; `{call('check')}` looks for that."
         ]
+    never = {q.name: bool(hidden) for q, hidden in zip(result.quantities, result.never_shown, strict=True)}
     if not result.mass.shown:
-        return ["The recordings do not show the mass: tilt the payload in more ways, or record longer."]
+        told = [q.name for q in result.first_moment if q.shown]
+        moments = f" The first moments {', '.join(told)}, mass times centre of mass, are shown." if told else ""
+        if not never["m"]:
+            return [f"The recordings do not show the mass: tilt the payload in more ways, or record longer.{moments}"]
+        return [
+            f"No motion of this robot shows the mass of a payload on {result.carrier} in the {channel_text(result.channel)}: "
+            f"weigh it.{moments}"
+        ]
     out = []
     lost = [q.name for q in result.centre if not q.shown]
-    if lost:
-        out.append(f"The recordings do not show the centre of mass along {', '.join(lost)}: add poses that turn gravity there.")
+    for which, says in (
+        ([k for k in lost if never[k]], "No motion of this robot shows the centre of mass along {}."),
+        (
+            [k for k in lost if not never[k]],
+            "The recordings do not show the centre of mass along {}: add poses that turn gravity there.",
+        ),
+    ):
+        if which:
+            out.append(says.format(", ".join(which)))
     hidden = [q.name for q in result.inertia if not q.shown]
     if hidden:
         which = "Inertia" if len(hidden) == 6 else ", ".join(hidden)
         says = "assumed" if result.extent_assumed else "as stated"
+        unseen = [k for k in PARAMETERS[4:] if never[k]]
+        why = f"of which no motion of this robot shows {', '.join(unseen)}" if unseen else "which turn the payload too slowly"
         out.append(
-            f"{which} not shown by these recordings, which turn the payload too slowly: at most "
+            f"{which} not shown by these recordings, {why}: at most "
             f"{number(result.inertia_bound, 2)} kg m² about any axis if no part of it is farther than "
             f"{number(result.extent, 2)} m from its centre of mass ({says})."
         )

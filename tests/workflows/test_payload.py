@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +14,12 @@ import pytest
 
 import bayesid
 from bayesid.cli import main
+from bayesid.diagnosis.settings import DEFAULT
 from bayesid.recordings.experiment import Sensor
 from bayesid.robot import inertia
+from bayesid.robot.examples import Joint, urdf_text
 from bayesid.simulation.trajectories import Trajectory
-from tests.robots import panda, puma560, tree, wrist_sensor_arm, write
+from tests.robots import body, panda, puma560, tree, wrist_sensor_arm, write
 from tests.simulated import experiment, puma2
 
 POSE = Sensor("wrist_ft", np.array([0.01, -0.02, 0.005]), np.array([0.2, -0.1, 0.4]))
@@ -222,12 +225,67 @@ def test_poses_that_never_turn_do_not_show_the_mass(wrist):
     assert not result.mass.shown and result.exports() == {} and "do not show the mass" in result.sentences[0]
 
 
+@pytest.fixture(scope="module")
+def crossed(tmp_path_factory):
+    """Two joints whose axes cross where the links' frames are, with a body on the second and without it; and the body."""
+    links = [body(name, 2.0, (0.02, 0.03, 0.1), (0.1, 0.08, 0.2)) for name in ("base", "yaw_link", "pitch_link")]
+    axes = (("yaw", "base", "yaw_link", (1.0, 0.0, 0.0)), ("pitch", "yaw_link", "pitch_link", (0.0, 1.0, 0.0)))
+    joints = [Joint(name, parent, child, (0.0, 0.0, 0.0), axis=axis) for name, parent, child, axis in axes]
+    arm = experiment(bayesid.load_robot(write(tmp_path_factory.mktemp("crossed"), urdf_text("crossed", links, joints))), [])
+    attached = inertia.from_mass_com_inertia(0.4, np.array([0.1, 0.02, 0.3]), np.diag([0.004, 0.005, 0.003]))
+    effects = {"payload@joint2": dict(zip(inertia.PARAMETERS, attached.tolist(), strict=True))}
+    path = [bayesid.fourier_trajectory(arm.robot, duration=12.0, seed=1)]
+    recorder = bayesid.Recorder(drive_std=0.02, resolution=1e-5)
+    loaded = bayesid.simulate(arm, path, effects=effects, recorder=recorder, seed=2)
+    return loaded, bayesid.simulate(arm, path, recorder=recorder, seed=3), attached
+
+
+def test_first_moments_are_told_where_no_motion_shows_the_mass(crossed):
+    """A mass where both axes cross moves nothing and has no lever; its first moments have."""
+    loaded, before, attached = crossed
+    model = pin.buildModelFromUrdf(str(loaded.robot.urdf))
+    rows = pin.computeJointTorqueRegressor(model, model.createData(), *np.random.default_rng(0).normal(size=(3, 2)))
+    assert np.abs(rows[:, 10]).max() < 1e-12 and np.abs(rows[:, 11:14]).max() > 0.1
+    result = bayesid.payload(loaded, reference=before)
+    assert not result.mass.shown and result.never_shown[0] and not result.never_shown[1:4].any()
+    for q, value in zip(result.first_moment, attached[1:4], strict=True):
+        assert q.shown and abs(q.value - value) < 4.0 * q.std and q.std < 0.02
+    text, written = str(result), result.to_dict()
+    assert "No motion of this robot shows the mass of a payload on pitch" in text and "tilt" not in text
+    assert re.search(r"first moment mcz +0\.1\d+ +± 0\.\d+ +kg m", text) and written["parameters"]["shown_by_no_motion"][0]
+    assert written["first_moment"]["value"] == [q.value for q in result.first_moment]
+    with pytest.raises(bayesid.InputError, match="no motion of this robot does"):
+        result.export("ur")
+
+
+def test_poses_that_could_turn_more_are_advised_where_other_motions_show_the_mass(wrist):
+    q = np.zeros((12, wrist.robot.n)) + 0.2
+    q[:, 0] = np.linspace(-1.0, 1.0, 12)
+    still = [Trajectory("poses", "identification", np.arange(12.0), q, 0.0 * q, 0.0 * q, kind="poses")]
+    result = bayesid.payload(bayesid.simulate(wrist, still, recorder=NOISE, seed=1))
+    assert not result.never_shown.any() and "tilt the payload in more ways" in result.sentences[0]
+
+
+def test_a_payload_that_may_hang_at_either_joint_is_told_alike_from_both(crossed):
+    """With every other change as its rival, the one asked for stands in the other's place."""
+    loaded, before, _ = crossed
+    settings = replace(DEFAULT, rival=1e9)
+    one, other = (bayesid.payload(loaded, reference=before, joint=j, settings=settings) for j in ("yaw", "pitch"))
+    for result, here, there in ((one, "joint1", "joint2"), (other, "joint2", "joint1")):
+        assert f"a payload at {here} came" in str(result) and "does not name" not in str(result)
+        rivals = next(w for w in result.warnings if w.startswith(f"These recordings do not tell the payload at {here} from "))
+        assert f"payload@{there}" in rivals and not any(e.name == "payload" for e in result.effects)
+    assert one.evidence < other.evidence
+    apart = bayesid.payload(loaded, reference=before, joint="yaw", settings=replace(DEFAULT, rival=0.0))
+    assert any("does not name a payload at joint1" in w and 'if that is the payload: joint="joint2"' in w for w in apart.warnings)
+
+
 @pytest.mark.parametrize("trust", [0.0, 0.05])
 def test_a_trusted_nominal_model_does_in_place_of_a_reference(tmp_path, trust):
     robot = bayesid.load_robot(write(tmp_path, puma560()))
     arm = experiment(robot, [], inertia_rel_std=trust)
-    body = inertia.from_mass_com_inertia(1.5, np.array([0.03, -0.02, 0.1]), np.diag([0.004, 0.005, 0.003]))
-    tool = {"payload@joint6": dict(zip(inertia.PARAMETERS, body.tolist(), strict=True))}
+    tool_body = inertia.from_mass_com_inertia(1.5, np.array([0.03, -0.02, 0.1]), np.diag([0.004, 0.005, 0.003]))
+    tool = {"payload@joint6": dict(zip(inertia.PARAMETERS, tool_body.tolist(), strict=True))}
     path = [bayesid.fourier_trajectory(robot, duration=12.0, seed=1)]
     recorder = bayesid.Recorder(drive_std=0.0005, resolution=1e-5)
     simulation = bayesid.simulate(arm, path, effects=tool, recorder=recorder, perturb=0.02 if trust else 0.0, seed=2)

@@ -182,6 +182,15 @@ class BodyKnowledge:
         return Quantity("m", "kg", max(m, 0.0), std, low, high, low > 0.0)
 
     @cached_property
+    def first_moment(self) -> tuple[Quantity, ...]:
+        """Mass times centre of mass [kg m]: readings may show it where they show neither alone (3,)."""
+        stds = np.sqrt(np.diag(self.covariance))
+        return tuple(
+            Quantity.of(inertia.PARAMETERS[k], "kg m", self.mean[k], stds[k] if self.shown[k] else inf, self.half)
+            for k in (1, 2, 3)
+        )
+
+    @cached_property
     def centre(self) -> tuple[Quantity, Quantity, Quantity]:
         """The centre of mass [m]."""
         x, y, z = (self._ratio(axis, k) for k, axis in enumerate("xyz", 1))

@@ -28,6 +28,7 @@ from bayesid.diagnosis.changes.evidence import amplitudes
 from bayesid.diagnosis.changes.findings import ReferenceComparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
 from bayesid.diagnosis.changes.selection import Accepted
+from bayesid.dynamics.base_parameters import structural_base
 from bayesid.effects.bodies import Payload
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
@@ -108,17 +109,32 @@ def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float
     return known, float(1.0 - min(exact.covariance[0, 0] / known.covariance[0, 0], 1.0))
 
 
+def named_payload(comparison: ReferenceComparison, joint: int) -> tuple[Accepted, Hypothesis, float] | None:
+    """The change that is named and is a payload on a joint's link, or that one explains as well: with its form and log evidence.
+
+    None where there is none.
+    """
+    where = f"joint{joint + 1}"
+    changes = [c.found for c in comparison.changes]
+    each = [(a, h, a.evidence - lack) for a in changes for h, lack in ((a.change, 0.0), *a.rivals) if _is_payload(h, where)]
+    return max(each, key=lambda x: x[0].change is x[1], default=None)
+
+
 def from_reference(comparison: ReferenceComparison, joint: int) -> tuple[BodyKnowledge, float]:
     """What changed on a joint's link since a reference, and the log evidence that something did.
 
-    Where the comparison names no payload there, one is taken into the model all the same: then the interval says how large a
-    payload may be that these recordings do not show.
+    A payload that explains the recording as well as a change that is named stands in its place, see `named_payload`. Where the
+    comparison names no payload there, one is taken into the model all the same: then the interval says how large a payload may be
+    that these recordings do not show.
     """
     s = comparison.selection
     where = f"joint{joint + 1}"
-    named = next((a for a in s.accepted if _is_payload(a.change, where)), None)
-    form, evidence = (named.change, named.evidence) if named else next(x for x in s.beyond if _is_payload(x[0], where))
-    s = replace(s, accepted=(*(a for a in s.accepted if a is not named), Accepted(form, 1.0, evidence))).for_values
+    if (found := named_payload(comparison, joint)) is not None:
+        instead, form, evidence = found
+    else:
+        instead = next((a for a in s.accepted if _is_payload(a.change, where)), None)
+        form, evidence = (instead.change, instead.evidence) if instead else next(x for x in s.beyond if _is_payload(x[0], where))
+    s = replace(s, accepted=(*(a for a in s.accepted if a is not instead), Accepted(form, 1.0, evidence))).for_values
     whole = s.accepted[-1].change
     own, columns = s.directions[-1], whole.columns
     fitted = amplitudes(s.marginal())
@@ -130,11 +146,19 @@ def from_reference(comparison: ReferenceComparison, joint: int) -> tuple[BodyKno
     return BodyKnowledge(fitted.part(own)[columns], covariance, np.eye(10)[:, open_]), evidence
 
 
+def of_any_motion(problem: Problem, body: int) -> BodyKnowledge:
+    """What the richest motion of the robot would show of a body to these readings, in its frame: ``hidden`` no motion shows."""
+    model = problem.row_model
+    base = structural_base(model.robot, model.channels, offset=model.base.absorbed is not None)
+    return BodyKnowledge.of(base.matrix[:, 10 * body : 10 * body + 10], np.zeros(base.rank), np.eye(base.rank))
+
+
 def in_frame(known: BodyKnowledge, experiment: Experiment, body: int, frame: str | None) -> tuple[BodyKnowledge, str]:
     """The same in the frame of a URDF link that is fixed to the body, and that link's name.
 
-    Default is the flange, where the URDF has a link of such a name (`FLANGES`), else the body's own frame. An `InputError`
-    where there is no such link, or it does not move with the body.
+    Default is the flange, where the URDF has a link of such a name (`FLANGES`), else the body's own frame; this also where the
+    mass is not known, as first moments in any other frame hold the mass, too. An `InputError` where there is no such link, or it
+    does not move with the body.
     """
     robot = experiment.robot
     urdf = robot.description
@@ -148,7 +172,8 @@ def in_frame(known: BodyKnowledge, experiment: Experiment, body: int, frame: str
         return (at.sensor_rotation, at.sensor_translation) if at.sensor_parent == joint else None
 
     if frame is None:
-        found = [link for end in FLANGES for link in above if link.endswith(end) and place(link) is not None]
+        flanges = FLANGES if known.shown[0] else ()
+        found = [link for end in flanges for link in above if link.endswith(end) and place(link) is not None]
         if not found:
             return known, urdf.joints[own].child
         frame = found[0]
