@@ -118,12 +118,12 @@ class Diagnosis(ShownResult):
             f"{self.data.experiment.name}: {self.verdict.replace('_', ' ')} ({channel_text(self.data.channel)} of {fitted})",
             verdict_sentence(self),
         ]
-        for k, f in enumerate(self.found):
+        for k in range(len(self.found)):
             known = self.part is not None and self.shares(k) is not None
             share = f"; without it {share_range(self, k)} is open again" if known else ""
-            for key, value, half, _, unit in parameter_rows(self, k):
+            for spec, key, value, half, _, unit in effect_rows(self, k):
                 text = value if half == DASH else f"{value} ± {half} {powers(unit)}".rstrip()
-                lines.append(f"  {f.term.effect.spec}: {key} {text}{share}")
+                lines.append(f"  {spec}: {key} {text}{share}")
                 share = ""
         if self.part is not None:
             lines.append(part_sentence(self))
@@ -156,7 +156,7 @@ class Diagnosis(ShownResult):
         parts: list[Part] = [f"**{verdict_sentence(self)}** {validation_sentence(self)}"]
         parts += [f"{line[0].upper()}{line[1:]}." for line in error_lines(self)]
         if self.found:
-            rows = [(f.term.effect.spec, *row) for k, f in enumerate(self.found) for row in parameter_rows(self, k)]
+            rows = [row for k in range(len(self.found)) for row in effect_rows(self, k)]
             parts.append(ShownTable(["effect", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n ku"))
         parts += [disagreement_line(w, poses=self.data.poses) for w in self.where[:_SHOWN]]
         if self.description is not None:
@@ -507,6 +507,13 @@ def event_sentences(diagnosis: Diagnosis) -> list[str]:
             text += f"; {who}: a broad band, over within {diagnosis.data.settings.moment:g} s"
         out.append(f"{text}. No motion of the robot explains {'it' if one else 'them'}.")
     return out
+
+
+def effect_rows(diagnosis: Diagnosis, index: int) -> list[tuple[str, str, str, str, str, str]]:
+    """The effect before each of its `parameter_rows`, in the first with those that explain as much."""
+    found = diagnosis.found[index]
+    spec, rivals = found.term.effect.spec, "".join(f" or {t.effect.spec}" for t, _ in found.rivals)
+    return [(spec if k else f"{spec}{rivals}", *row) for k, row in enumerate(parameter_rows(diagnosis, index))]
 
 
 def parameter_rows(diagnosis: Diagnosis, index: int) -> list[tuple[str, str, str, str, str]]:

@@ -3,6 +3,7 @@
 import json
 import tomllib
 from dataclasses import replace
+from html import unescape
 
 import numpy as np
 import pytest
@@ -380,6 +381,16 @@ def test_what_the_data_leave_open_has_no_value(named):
     (row,) = diagnosis.parameter_rows(open_, 0)
     assert row[1] == diagnosis.NOT_DETERMINED and diagnosis.NOT_DETERMINED in str(open_)
     assert open_.to_dict()["effects"][0]["parameters"]["gain"]["std"] is None
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_what_explains_as_much_stands_beside_every_effect(named, count):
+    """In terminal and notebook, once beside each effect, also where the sentence counts them by kind."""
+    one = ambiguous(named)
+    several = replace(one, verdict="named_in_part", found=one.found * count)
+    for text in (str(several), unescape(several._repr_html_())):
+        assert text.count("sensor_gain@mx or sensor_crosstalk@my->mx") == count
+    assert " or " not in str(replace(several, found=named.found * count)).split("error of")[0]
 
 
 def test_motions_that_hardly_depend_on_what_is_named_say_nothing_of_it(named):
