@@ -16,7 +16,7 @@ from bayesid.estimators.factor import Factor, Pilot, regressor_times, whitened
 from bayesid.estimators.sensor_noise import sensor_noise
 from bayesid.regression.blocks import Block, RegressorNoise
 from bayesid.regression.hypothesis_tests import hausman
-from bayesid.regression.linalg import pseudo_inverse, solve, standard_deviations
+from bayesid.regression.linalg import UNSEEN, pseudo_inverse, solve, standard_deviations, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel, estimate_noise, memoryless
 
@@ -26,9 +26,11 @@ _PASSES, _SETTLED = 3, 1e-4
 #: Draws of encoder errors that ring that their spectrum is averaged over, and the seed of the noise that is added to them.
 _DRAWS, _SEED = 16, 36
 #: Two fits contradict each other when their difference is less probable than the first, and the efficient one's
-#: residuals have more than the second times the power of the plain one's; either alone happens by chance.
+#: residuals have more than the second times the power of the plain one's. Either alone happens by chance, for weights are
+#: estimated: of complete models with 200 rows or more the first did in 12 %, with at most 1.009 times the power then
+#: (tests/estimators/test_estimators.py).
 SMALLEST_AGREEMENT = 1e-4
-LARGEST_LOSS = 2.0
+LARGEST_LOSS = 1.02
 #: An efficient fit whose parts scatter more than noise explains, with a smaller probability than this, is not efficient.
 SMALLEST_PARTS = 1e-4
 
@@ -215,16 +217,16 @@ def _settled(before: dict[str, NoiseModel], after: dict[str, NoiseModel]) -> boo
 def _agreement(efficient: Factor, plain: Factor, middle: np.ndarray, difference: np.ndarray) -> float:
     """Probability of a difference, channel-weighted fit less efficient one (p,), as large as this one.
 
-    Under a complete model ``d = b_wls - b_gls`` has covariance ``V_wls - V_gls``. ``middle`` is that of the sandwich around the
-    channel-weighted fit's covariance (p, p).
+    Under a complete model ``d = b_wls - b_gls`` has covariance ``V_wls - V_gls``, of what the rows determine: along the rest
+    each fit stays where it began. ``middle`` is that of the sandwich around the channel-weighted fit's covariance (p, p).
     """
-    whole, bread = efficient.matrix, plain.matrix
-    outer = np.linalg.pinv(bread.T @ bread, rcond=1e-12, hermitian=True)
+    shown = ~(undetermined(plain.matrix) | undetermined(efficient.matrix))
+    outer, own = (root @ root.T for root in (pseudo_inverse(f.matrix, UNSEEN) for f in (plain, efficient)))
     covariance = outer @ middle @ outer
-    size = standard_deviations(covariance, 1e-300)
-    gap = covariance - np.linalg.pinv(whole.T @ whole, rcond=1e-12, hermitian=True)
+    size = standard_deviations(covariance, 1e-300)[shown]
+    gap = (covariance - own)[np.ix_(shown, shown)]
     # Where the two fits are almost equally sure, the tiny difference is one of estimated weights, not of fits.
-    return hausman(difference, gap, size, 0.05).probability
+    return hausman(difference[shown], gap, size, 0.05).probability
 
 
 def _middle(pilot: Pilot, noise: dict[str, NoiseModel], scale: np.ndarray) -> np.ndarray:

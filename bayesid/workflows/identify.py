@@ -15,7 +15,7 @@ from bayesid.estimators import Estimate, Estimator, estimator
 from bayesid.estimators.against_prior import against_nominal
 from bayesid.estimators.conic.consistent_links import channel_grams
 from bayesid.estimators.nonlinear import default_method, solve
-from bayesid.estimators.prior_check import PriorCheck, conflicts
+from bayesid.estimators.prior_check import PriorCheck
 from bayesid.estimators.weights import learn_weights, pilot_of
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
@@ -37,10 +37,7 @@ from bayesid.workflows.warnings import (
     impossible_signs,
     incomplete,
     mistaken,
-    not_settled,
-    repeated_motions,
-    unpredicted,
-    unseen_effects,
+    of_fit,
     unusable,
 )
 
@@ -256,19 +253,7 @@ def _warnings(
     not_shown: NotShown,
 ) -> tuple[str, ...]:
     """What the user should know, most important first."""
-    out = [
-        *unseen_effects(problem),
-        *conflicts(check),
-        *not_settled(problem, estimate),
-        *wrong,
-        *repeated_motions(validation),
-        *unpredicted(validation),
-    ]
-    if not validation:
-        out.append(
-            "No validation motion: nothing shows that the estimate holds for another motion. "
-            'Add a motion with role = "validation".'
-        )
+    out = of_fit(problem, estimate, check, wrong, validation)
     smoother = problem.smoother
     moving = not all(s.poses for name in problem.fitted for s in problem.segments[name])  # poses at rest have no bandwidth
     if moving and smoother.at_end and smoother.bandwidth >= 0.999 * smoother.automatic and smoother.reason != "as given":

@@ -16,7 +16,7 @@ from bayesid.estimators import Estimate
 from bayesid.estimators.against_prior import against_prior
 from bayesid.estimators.estimator import largest_autocorrelation
 from bayesid.estimators.nonlinear import settled
-from bayesid.estimators.prior_check import PriorCheck, conflicts
+from bayesid.estimators.prior_check import PriorCheck
 from bayesid.posterior.diagnostics import ConvergenceError
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.predictive import predictive_groups
@@ -40,7 +40,7 @@ from bayesid.validation.flexible import flexible_gaps
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
-from bayesid.workflows.warnings import incomplete, repeated_motions, unpredicted, unseen_effects
+from bayesid.workflows.warnings import incomplete, mistaken, of_fit
 
 PRIORS = ("nominal", "flat")
 
@@ -233,7 +233,7 @@ def _with_predictions(
     clock.stop()
     return ExperimentPosterior(
         model, result, seed, extra, check, problem=problem, fitted=fitted, validation=validation, rel_std=rel_std,
-        warnings=_warnings(posterior, problem, validation), seconds=clock.seconds,
+        warnings=_warnings(posterior, problem, estimate, validation), seconds=clock.seconds,
     )  # fmt: skip
 
 
@@ -272,19 +272,13 @@ def as_estimate(posterior: Posterior) -> Estimate:
     )  # fmt: skip
 
 
-def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Prediction]) -> tuple[str, ...]:
-    out = [*unseen_effects(problem), *conflicts(posterior.prior_check)]
-    if not posterior.diagnosis.passed:
-        out.append(
-            f"The chains did not converge: {posterior.diagnosis.complaint()}. Do not use these draws as a posterior; "
-            f"draw longer, such as {argument('longest', 64)}, or take {argument('engine', 'hmc')}."
-        )
-    out += [*unpredicted(validation), *repeated_motions(validation)]
-    if not validation:
-        out.append(
-            "No validation motion: nothing shows that the posterior holds for another motion. "
-            'Add a motion with role = "validation".'
-        )
+def _warnings(posterior: Posterior, problem: Problem, estimate: Estimate, validation: Sequence[Prediction]) -> tuple[str, ...]:
+    converged = () if posterior.diagnosis.passed else (
+        f"The chains did not converge: {posterior.diagnosis.complaint()}. Do not use these draws as a posterior; "
+        f"draw longer, such as {argument('longest', 64)}, or take {argument('engine', 'hmc')}.",
+    )  # fmt: skip
+    wrong = [*converged, *mistaken(problem, validation, False)]
+    out = of_fit(problem, estimate, posterior.prior_check, wrong, validation)
     if not posterior.model.likelihood.complete:
         out.append(incomplete(posterior.model.likelihood.dispersion))
     driven = [label for label, share in zip(posterior.base.labels, posterior.prior_share, strict=True) if share > PRIOR_DRIVEN]

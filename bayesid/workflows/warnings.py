@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesid.arguments import argument, call
 from bayesid.estimators import Estimate
+from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.recordings.complaints import listed
 from bayesid.regression.problem import Problem
 from bayesid.regression.readings import has_readings
@@ -18,6 +19,27 @@ from bayesid.validation.headline import judged, useless
 from bayesid.validation.prediction import BAND, Prediction
 
 _CERTAIN = 3.0  # standard deviations below zero
+
+
+def of_fit(
+    problem: Problem, estimate: Estimate, check: PriorCheck | None, wrong: Sequence[str], validation: Sequence[Prediction]
+) -> list[str]:
+    """What any fit to these recordings should be read with, most important first; ``wrong``: what is wrong with it or them."""
+    out = [
+        *unseen_effects(problem),
+        *conflicts(check),
+        *not_settled(problem, estimate),
+        *wrong,
+        *repeated_motions(validation),
+        *unpredicted(validation),
+    ]
+    if not validation:
+        what = "posterior" if estimate.method == "posterior" else "estimate"
+        out.append(
+            f"No validation motion: nothing shows that the {what} holds for another motion. "
+            'Add a motion with role = "validation".'
+        )
+    return out
 
 
 def unseen_effects(problem: Problem) -> list[str]:

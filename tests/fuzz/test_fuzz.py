@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -61,6 +62,17 @@ def test_the_arm_itself_is_good(worker: Worker, original: Path) -> None:
 @given(case=cases())
 def test_a_fixed_share(case: Case, worker: Worker, original: Path) -> None:
     hold(case, worker, original)
+
+
+def test_links_a_million_times_too_light_are_diagnosed(worker: Worker, original: Path) -> None:
+    """Amplitudes that nothing determines divided by their standard deviations of zero once."""
+    place = original.parent / "light"
+    arm = fresh(original, place)
+    urdf = arm / "robot.urdf"
+    light = re.sub(r'((?:value|i[xyz][xyz])=")([^"]*)', lambda m: f"{m[1]}{1e-6 * float(m[2])!r}", urdf.read_text("utf-8"))
+    urdf.write_text(light, "utf-8")
+    run = worker.run(["diagnose", str(arm), "--out", str(place / "out")], place)
+    assert (run.status, run.err) == (0, "")
 
 
 @pytest.mark.slow

@@ -195,3 +195,15 @@ def test_a_regression_of_ones_own_and_a_prior_of_ones_own():
         bayesid.sample(data, prior="flat", prior_std=0.3)
     with pytest.raises(InputError, match="prior has 10 parameters"):
         bayesid.sample(data, prior=one_body().prior)
+
+
+def test_a_mistake_in_the_data_is_told_as_identify_tells_it(tmp_path):
+    """A torque with the wrong sign: the posterior is of no robot."""
+    robot = puma2(tmp_path)
+    motions = []
+    for k, role in enumerate(("identification", "validation")):
+        table = recording(robot, None, fourier(robot, k + 1, 10.0), seed=k, torque_std=0.05)
+        motions.append(Motion(role, role, replace(table, torques=table.torques * [1.0, -1.0])))
+    wrong = experiment(robot, motions)
+    told = [w for w in bayesid.identify(wrong, progress=None).warnings if "opposite sign" in w]
+    assert told and set(told) <= set(bayesid.sample(wrong, draws=400, keep_going=True, progress=None).warnings)

@@ -43,8 +43,9 @@ def agree(one, channel: str | None = None) -> None:
     expected = {p.motion: p.whitened_rms for p in (*by_identify.fitted, *by_identify.validation)}
     problem = by_identify.problem
     compared = bayesid.compare(one, channel=channel, methods=[default_method(problem)], progress=None).entries[0]
+    checked = bayesid.check(one, progress=None)
     told = {
-        "check": bayesid.check(one, progress=None).left if problem.channel == bayesid.check(one, progress=None).channel else (),
+        "check": checked.left if problem.channel == checked.channel else (),
         "compare": (*compared.fitted, *compared.validation),
         "diagnose": [e.before for e in motion_errors(one, None, FitOptions(problem.channel))[0]],
     }

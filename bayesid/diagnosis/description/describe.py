@@ -14,7 +14,7 @@ from bayesid.diagnosis.description.candidates import CandidateTerm, candidates
 from bayesid.diagnosis.description.choose import Chosen, choose
 from bayesid.diagnosis.description.columns import halves, parts_of, ranges_of
 from bayesid.diagnosis.description.shapes import Kind, Shape
-from bayesid.diagnosis.fit import Fit, fit
+from bayesid.diagnosis.fit import Fit, fit, squared_distance
 from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.validation import Gap, validate
 from bayesid.effects import Effect, Term
@@ -198,10 +198,8 @@ def _seen(found: Description, settings: Settings) -> bool:
     own = [k for k, (i, _) in enumerate(found.fit.free) if i == known]
     for chosen in found.terms:
         mine = slice(at, at := at + len(chosen.candidate.channels) * len(chosen.candidate.shape.texts))
-        values, covariance = np.array(found.term.values)[mine], found.fit.covariance[np.ix_(own[mine], own[mine])]
-        size = np.maximum(found.std[mine], 1e-300)
-        relative = covariance * _dispersion(found.fit) / np.outer(size, size)
-        if values / size @ np.linalg.pinv(relative, rcond=1e-10, hermitian=True) @ (values / size) < settings.detected**2:
+        covariance = found.fit.covariance[np.ix_(own[mine], own[mine])] * _dispersion(found.fit)
+        if squared_distance(np.array(found.term.values)[mine], covariance) < settings.detected**2:
             return False
     return True
 
