@@ -120,12 +120,6 @@ class UrdfLinks:
                 f"identified.urdf predicts '{motion}'{more} with {100 * links:.3g} % error, the base parameters with "
                 f"{100 * estimate:.3g} %: it {why}. Predict with the base parameters, simulate with the URDF."
             )
-        if self.dynamics.left_out:
-            named = listed(self.dynamics.left_out, _NAMED)
-            out.append(
-                f"Negative friction was identified ({named}) and is not written to identified.urdf: torques "
-                "may have the wrong sign, or stand for another effect; check them, or leave that friction out of the model."
-            )
         return out
 
 

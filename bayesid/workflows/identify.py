@@ -257,10 +257,11 @@ def _warnings(
     smoother = problem.smoother
     moving = not all(s.poses for name in problem.fitted for s in problem.segments[name])  # poses at rest have no bandwidth
     if moving and smoother.at_end and smoother.bandwidth >= 0.999 * smoother.automatic and smoother.reason != "as given":
+        half = float(f"{0.5 * smoother.bandwidth:.2g}")
         out.append(
             f"The bandwidth of the motion is {smoother.bandwidth:.3g} Hz, the end of the range searched: the positions hold more "
-            f"than motion and white encoder noise up to there. Compare with {argument('bandwidth', 10)}; a difference says that "
-            "the estimate depends on it."
+            f"than motion and white encoder noise up to there. Compare with {argument('bandwidth', half)}; a difference says "
+            "that the estimate depends on it."
         )
     out += contradictions(agreements)
     if estimate.details.model_complete is False:

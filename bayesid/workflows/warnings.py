@@ -137,8 +137,10 @@ def contradictions(agreements: Sequence[Agreement]) -> list[str]:
         more = "" if len(members) == 1 else f" (the worst of {len(members)} {kind}s that contradict others: {names})"
         out.append(
             f"{a.first[0].upper()}{a.first[1:]} and {a.second} contradict each other{more}: {a.rms:.3g} sigma rms over "
-            f"{a.compared} numbers; most in {a.worst}. They are not noise apart; do not average them, but fit them "
-            f"apart, and look for what changed in between (`{call('diagnose')}`)."
+            f"{a.compared} numbers; most in {a.worst}. Noise alone does not set them so far apart: what the model lacks does, "
+            "and so do friction and gains that are others from one recording to the next. Do not average them, but fit them "
+            f"apart; `{call('diagnose')}` looks for what is missing, and with {argument('reference')} for what changed by more "
+            "than friction and gains usually do."
         )
     return out
 
@@ -184,14 +186,35 @@ def impossible_signs(estimate: Estimate, problem: Problem) -> list[str]:
         return []
     names = [*base.names, *estimate.effect_names]
     units = [*base.units, *estimate.effect_units]
-    shown = [
-        f"{names[k]} = {estimate.solution[k]:.3g} +- {estimate.full_std[k]:.2g} {powers(units[k])}" for k in np.flatnonzero(never)
-    ]
-    kind = "Mass" if never[:rank].any() else "Friction"
-    return [
-        f"{kind} that cannot be negative is: {listed(shown, 4)}. Check signs, joint order and units of the readings, or whether "
-        "the motions show it at all."
-    ]
+
+    def shown(which: np.ndarray) -> str:
+        each = (f"{names[k]} = {estimate.solution[k]:.3g} +- {estimate.full_std[k]:.2g} {powers(units[k])}" for k in which)
+        return listed(each, 4)
+
+    denied = np.append(np.zeros(rank, bool), _signs_right(estimate, problem)) & never
+    out, blamed = [], np.flatnonzero(never & ~denied)
+    if len(blamed):
+        kind = "Mass" if blamed[0] < rank else "Friction"
+        out.append(
+            f"{kind} that cannot be negative is: {shown(blamed)}. Check signs, joint order and units of the readings, or whether "
+            "the motions show it at all."
+        )
+    if denied.any():
+        out.append(
+            f"What cannot be negative is, beside friction of the same joint that is positive: {shown(np.flatnonzero(denied))}. "
+            "So the torques' sign is not to blame: friction may fall with speed (Stribeck) or follow the load, or this bandwidth "
+            f"and these speeds do not tell it from other parameters. `{call('diagnose')}` looks for it; compare with another "
+            f"{argument('bandwidth')}."
+        )
+    return out
+
+
+def _signs_right(estimate: Estimate, problem: Problem) -> np.ndarray:
+    """Whether other friction of the joint that an effect's parameter acts at is positive, so that its torque's sign is right."""
+    model, values = problem.row_model, estimate.solution[estimate.base.rank :]
+    owners = model.of_free(e for e in model.effects for _ in e.parameters)
+    dry = [(e, value) for e, value in zip(owners, values, strict=True) if e.urdf_dynamics is not None]
+    return np.array([any(e is not o and e.joint == o.joint and value > 0.0 for e, value in dry) for o in owners], bool)
 
 
 def not_settled(problem: Problem, estimate: Estimate) -> list[str]:

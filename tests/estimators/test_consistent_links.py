@@ -116,7 +116,7 @@ def test_conflict_is_told_with_its_size(tmp_path):
     assert sigmas == sorted(sigmas, reverse=True) and sigmas[-1] > 3.0 and moved.on_boundary
     (warning,) = [w for w in result.warnings if "No bodies that can exist" in w]
     assert moved.on_boundary[0] in warning and moved.conflicts[0][0] in warning
-    assert any("Negative friction" in w for w in result.warnings) and not result.urdf.dynamics.friction
+    assert any("Friction that cannot be negative" in w for w in result.warnings) and not result.urdf.dynamics.friction
     told = result.to_dict()["identified_urdf"]
     assert told["moved"]["inside"] is False and len(told["negative_friction"]) == 12
 

@@ -154,4 +154,6 @@ def test_one_line_a_kind_of_warning():
     (first, second) = contradictions([*apart, across, dataclasses.replace(across, probability=0.5)])
     assert first.startswith("Motion m50") and "worst of 2 motions" in first and "m50, m60" in first and "2.67" in first
     assert second.startswith("Wrench and torque contradict")
+    # Friction of another day sets estimates apart, too, and a comparison with a reference allows for it.
+    assert "what the model lacks" in first and "friction and gains" in first and "with reference" in first
     assert contradictions(apart[:1])[0].count("m50") == 1

@@ -1,4 +1,5 @@
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -224,3 +225,43 @@ def test_fitted_motions_are_predicted_when_asked_for_as_the_others_are(arm):
     assert found.fitted[0] is fitted
     expected = predict(found.problem, found.estimate, arm.identification[0], noise_floor(found.problem))
     assert fitted.to_dict() == expected.to_dict()
+
+
+def test_another_bandwidth_is_advised_than_the_one_that_was_taken(tmp_path):
+    """A motion that is as fast as the search for its bandwidth goes."""
+    robot = puma2(tmp_path)
+    times, w = np.arange(0.0, 20.0, 0.02), 2 * np.pi * 0.8 * np.arange(1, 15)
+    a = np.random.default_rng(1).normal(size=(14, 2)) / (1.0 + np.arange(14))[:, None]
+    s, c = np.sin(np.outer(times, w)), np.cos(np.outer(times, w))
+    motion = (times, 0.1 * s @ a, 0.1 * (c * w) @ a, -0.1 * (s * w**2) @ a)
+    made = experiment(robot, [Motion("quick", "identification", recording(robot, None, motion, seed=1, torque_std=0.2))])
+    result = bayesid.identify(made, "torque")
+    (said,) = [w for w in result.warnings if "the end of the range searched" in w]
+    advised = float(re.search(r"Compare with bandwidth=([\d.]+);", said)[1])
+    assert advised == pytest.approx(0.5 * result.problem.smoother.bandwidth, rel=0.05)
+    other = bayesid.identify(made, "torque", bandwidth=advised)
+    assert np.abs(other.estimate.solution - result.estimate.solution).max() > 0.0
+
+
+def _with_friction(robot, viscous, noise=1.0):
+    motions = []
+    for seed, role in ((1, "identification"), (2, "validation")):
+        motion = fourier(robot, seed)
+        exact = recording(robot, None, motion).torques
+        read = exact + noise * (recording(robot, None, motion, seed=seed, torque_std=0.3).torques - exact)
+        read = read + 3.0 * np.sign(motion[2]) + viscous * motion[2]
+        motions.append(Motion(role, role, replace(recording(robot, None, motion), torques=read)))
+    return bayesid.identify(experiment(robot, motions), "torque", effects=["viscous_friction", "coulomb_friction"])
+
+
+def test_the_sign_is_blamed_for_negative_friction_where_all_of_the_joint_is_negative(tmp_path):
+    """Friction that falls with speed has a negative viscous part beside a positive dry one: the sign is right."""
+    robot = puma2(tmp_path)
+    falls = _with_friction(robot, -0.5)
+    said = [w for w in falls.warnings if "cannot be negative" in w]
+    assert len(said) == 1 and "viscous_friction@joint1.coefficient = -0." in said[0] and "falls with speed" not in said[0]
+    assert "sign is not to blame" in said[0] and "Stribeck" in said[0] and "Check signs" not in str(falls)
+    # Next to no viscous friction comes out of either sign by noise, which is no fault.
+    either = [_with_friction(robot, 0.0, noise=sign) for sign in (1.0, -1.0)]
+    viscous = [r.effects()[0]["parameters"]["coefficient"]["value"] for r in either]
+    assert min(viscous) < 0.0 < max(viscous) and not any("egative" in w for r in either for w in r.warnings)
