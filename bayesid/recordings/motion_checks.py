@@ -84,7 +84,7 @@ def rows_held(values: np.ndarray) -> float | None:
 class Timing:
     """How even time stamps are."""
 
-    dropped: int  # samples missing in steps that are no gaps, by how many usual steps fit into them
+    missing: np.ndarray  # samples that each step lacks (N - 1,); of gaps, which are told apart, zero
     #: Error of a time stamp that would make steps scatter as they do, rms [s]: a stamp ends one step and starts the next.
     jitter: float
     #: Usual step in the first and the last quarter [s].
@@ -94,18 +94,39 @@ class Timing:
     @classmethod
     def of(cls, table: Table) -> Timing:
         """The timing of a table of at least two rows."""
-        step = table.step
-        steps = np.diff(table.times)
-        steps = steps[steps <= GAP * step]
-        quarter = max(len(steps) // 4, 1)
-        count = np.maximum(np.round(steps / step), 1.0)
-        first, last = float(np.median(steps[:quarter])), float(np.median(steps[-quarter:]))
-        scatter = steps - count * np.linspace(first, last, len(steps))  # drift is no jitter
-        return cls(int((count - 1.0).sum()), float(np.sqrt(0.5 * np.mean(scatter**2))), first, last)
+        steps = table_steps(table)
+        short = steps <= GAP * table.step
+        quarter = max(np.count_nonzero(short) // 4, 1)
+        first, last = float(np.median(steps[short][:quarter])), float(np.median(steps[short][-quarter:]))
+        usual = np.linspace(first, last, len(steps))  # drift is no jitter
+        missing = np.where(short, _missing(steps / table.step), 0)
+        scatter = (steps - (1.0 + missing) * usual)[short]
+        return cls(missing, float(np.sqrt(0.5 * np.mean(scatter**2))), first, last)
+
+    @property
+    def dropped(self) -> int:
+        """Samples missing in steps that are no gaps."""
+        return int(self.missing.sum())
+
+
+def table_steps(table: Table) -> np.ndarray:
+    """Steps in time (N - 1,) [s]; those over rows that were left out, which is told on its own, are as long as usual."""
+    steps = np.diff(table.times)
+    steps[holes_left(table.dropped, len(table))] = table.step
+    return steps
+
+
+def _missing(steps: np.ndarray) -> np.ndarray:
+    """Samples that each step, in usual ones, lacks (n,).
+
+    A stamp that is late makes a step long and the next one short: what is lost is missing in a step and its neighbours together.
+    """
+    padded = np.concatenate([[1.0], steps, [1.0]])
+    together = padded[:-2] + padded[1:-1] + padded[2:]
+    return np.maximum(np.minimum(np.round(steps) - 1.0, np.round(together) - 3.0), 0.0).astype(int)
 
 
 MIN_SAMPLES = 20
-STEP_SLACK = 1.5  # a step this many times the median one has lost a sample
 MATCH = 5e-3  # positions of one pose, moving and stopped, agree to this [rad or m]
 FROZEN_TIME = 0.5  # an encoder standing longer than this [s] while the joint moves is frozen
 _DEGREE = 180.0 / np.pi
@@ -157,9 +178,7 @@ def _clock(table: Table) -> str:
 
 
 def _steps(table: Table) -> list[str]:
-    steps = np.diff(table.times)
-    steps[holes_left(table.dropped, len(table))] = table.step  # rows left out are reported already
-    gaps, lost = np.flatnonzero(steps > GAP * table.step), np.flatnonzero(steps > STEP_SLACK * table.step)
+    gaps = np.flatnonzero(table_steps(table) > GAP * table.step)
     start = f"{table.source}: column t: "
     timing, uneven = Timing.of(table), []
     if timing.jitter > REPORTED * table.step:
@@ -167,22 +186,22 @@ def _steps(table: Table) -> list[str]:
             f"{start}time stamps jitter by {timing.jitter:.2g} s rms (a step is usually {table.step:.4g} s) and are taken as "
             "true times; if the samples were taken evenly, write even times"
         )
-        lost = np.flatnonzero(steps > (STEP_SLACK + 5.0 * timing.jitter / table.step) * table.step)
     if abs(timing.last_step - timing.first_step) > REPORTED * table.step:
         uneven.append(
             f"{start}steps drift from {timing.first_step:.4g} to {timing.last_step:.4g} s and are taken as they are; "
             "if the rate was constant, write even times"
         )
-    if not len(lost):
+    said = []
+    if len(gaps):
+        said.append(f"gap at {listed([f'{table.times[k]:.6g} to {table.times[k + 1]:.6g} s' for k in gaps], 3)}")
+    if timing.dropped:
+        of, which = ("1 sample is", "") if timing.dropped == 1 else (f"{timing.dropped} samples are", "the first ")
+        first = table.times[np.flatnonzero(timing.missing)[0]]
+        said.append(f"{of} missing{' elsewhere' * bool(len(gaps))}, {which}after {first:.6g} s")
+    if not said:
         return uneven
-    usual = f"a step is usually {table.step:.4g} s"
-    if not len(gaps):
-        first = f"the first at {table.times[lost[0]]:.6g} s ({usual})"
-        return [*uneven, f"{start}{len(lost)} steps lack a sample, {first}; check the logger"]
-    holes = listed([f"{table.times[k]:.6g} to {table.times[k + 1]:.6g} s" for k in gaps], 3)
-    short = f", and {len(lost) - len(gaps)} steps lack a sample" if len(lost) > len(gaps) else ""
-    gap = f"{start}gap at {holes}{short} ({usual}); the pieces between gaps are treated apart, check the logger"
-    return [*uneven, gap]
+    apart = "the pieces between gaps are treated apart, " * bool(len(gaps))
+    return [*uneven, f"{start}{'; '.join(said)} (a step is usually {table.step:.4g} s); {apart}check the logger"]
 
 
 def _travel(table: Table, velocities: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:

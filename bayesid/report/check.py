@@ -13,7 +13,7 @@ from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, key, key_width, li
 from bayesid.report.page import below, bullets, cards, figure, fold, lead, note, page, terms, warnings
 from bayesid.results.files import report_of
 from bayesid.results.inspection import Inspection, MotionSummary
-from bayesid.results.text import DASH, number, percent
+from bayesid.results.text import DASH, counted, number, percent
 from bayesid.robot import inertia
 from bayesid.section import Part, ShownSection, ShownTable
 from bayesid.validation.headline import judged, useless
@@ -269,7 +269,7 @@ def _row(m: MotionSummary) -> list[str]:
     also = [f"period {number(motion.period, 4)} s"] if motion.period else []
     also += [f"parked {number(sum(b - a for a, b in motion.parked), 3)} s"] if motion.parked else []
     if m.timing and m.timing.dropped:
-        also.append(f"{m.timing.dropped} samples dropped")
+        also.append(f"{counted(m.timing.dropped, 'sample')} missing")
     if m.timing and m.timing.jitter > 0.01 / m.rate:
         also.append(f"stamps jitter by {number(1e3 * m.timing.jitter, 2)} ms rms")
     static = {"none": "none", "stop-and-go": "stop-and-go run", "poses": f"{len(motion.static or ())} poses"}[m.static]

@@ -166,7 +166,7 @@ class Inspection(ShownResult):
                 f"{m.motion.role} '{m.motion.name}': {len(m.motion.table)} {what}{rate}, "
                 f"columns {' '.join(m.columns)}, static {m.static}"
                 + (f", {counted(len(m.gaps), 'gap')}" if m.gaps else "")
-                + (f", {counted(m.timing.dropped, 'sample')} dropped" if m.timing and m.timing.dropped else "")
+                + (f", {counted(m.timing.dropped, 'sample')} missing" if m.timing and m.timing.dropped else "")
                 + (f", stamps jitter by {m.timing.jitter:.2g} s rms" if m.timing and m.timing.jitter > REPORTED / m.rate else "")
             )
             if m.noise_at_rest:

@@ -12,8 +12,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import bayesid
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import load_experiment
+from bayesid.recordings.motion_checks import Timing
+from bayesid.recordings.table import Table
 from bayesid.recordings.writer import write_experiment
 from tests.malformed import DATA, FOLDERS, cell, table, toml, urdf, write_good
 
@@ -100,11 +103,22 @@ def doubled(frame: pd.DataFrame) -> pd.DataFrame:
     return pd.concat([frame, frame.iloc[50:401:50]]).sort_values("t", kind="stable")
 
 
+def one_lost(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.drop(index=[150])
+
+
+def lost_beside_a_gap(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.drop(index=[150, *range(200, 230)])
+
+
 DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("an end stop", against_the_stop, ("validation.csv: column q2: elbow stands at -0.3", "lower end stop", "-0.31")),
     ("no inertial", no_inertial, ("robot.urdf: link lower: no <inertial>",)),
     ("gap", table(gap, "validation.csv"), ("validation.csv: column t", "gap at 1.99 to 2.3 s", "0.01 s")),
-    ("lost samples", table(lost, "validation.csv"), ("validation.csv: column t", "2 steps lack a sample", "1.49 s")),
+    ("lost samples", table(lost, "validation.csv"), ("validation.csv: column t: 2 samples are missing, the first after 1.49 s",)),
+    ("a lost sample", table(one_lost, "validation.csv"), ("1 sample is missing, after 1.49 s",)),
+    ("a lost sample and a gap", table(lost_beside_a_gap, "validation.csv"),
+     ("gap at 1.99 to 2.3 s; 1 sample is missing elsewhere, after 1.49 s", "pieces between gaps")),
     ("clipped channel", table(clip), ("column fx", "stays at 5", "places", "clipped")),
     ("frozen encoder", table(freeze, "validation.csv"), ("column q2: elbow stands", "from 2 to 2.9 s", "frozen")),
     ("frozen encoder, no velocities", table(freeze_without_velocities, "validation.csv"), ("column q2: elbow stands", "2.9 s")),
@@ -299,3 +313,25 @@ def test_velocities_in_degrees_are_found_in_recordings(path: Path, tmp_path: Pat
     frame.to_csv(copied / f"{trajectories[0].name}.csv", index=False)
     with pytest.raises(InputError, match="degrees per second"):
         load_experiment(copied)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.3])
+def test_samples_that_are_missing_are_counted_whatever_the_stamps_jitter(late: float) -> None:
+    """A clock of 1 kHz with stamps off by up to a third of a step, a hundred samples lost; stamps alone lose none."""
+    rng = np.random.default_rng(4)
+    ticks = np.arange(8000)
+    kept = np.setdiff1d(ticks, np.concatenate([rng.choice(np.arange(50, 7950, 20), 98, replace=False), [4001, 4002]]))
+    for rows, missing in ((ticks, 0), (kept, 100)):
+        times = 1e-3 * (rows + late * rng.uniform(-1.0, 1.0, len(rows)))
+        timing = Timing.of(Table(times=times, positions=np.zeros((len(times), 1))))
+        rounded = np.round(np.diff(times) / np.median(np.diff(times))) - 1.0
+        assert abs(np.maximum(rounded, 0.0).sum() - missing) > 50 or late == 0.0  # step by step they look lost
+        assert abs(timing.dropped - missing) <= (5 if late else 0)
+        assert timing.jitter == pytest.approx(1e-3 * late / 3**0.5, rel=0.1, abs=1e-9)
+
+
+def test_all_that_is_said_of_missing_samples_has_one_count(folder: Path) -> None:
+    table(lost, "validation.csv")(folder)
+    inspection = bayesid.check(folder)
+    said = [w for w in inspection.warnings if "missing" in w and "validation.csv" in w]
+    assert len(said) == 1 and "2 samples are missing" in said[0] and "2 samples missing" in str(inspection)
