@@ -173,9 +173,12 @@ def _times(signal: Signal) -> str:
 
 
 def _units(signal: Signal) -> str:
-    """The units of a log that are not ours."""
-    units = list(dict.fromkeys(signal.units))
-    return "" if set(units) <= _OURS else f" [{', '.join(units)}]"
+    """The units of a log that are not ours, and the factors that were stated."""
+    units, scales = list(dict.fromkeys(signal.units)), signal.scales
+    text = "" if set(units) <= _OURS else f" [{', '.join(units)}]"
+    if all(by == 1.0 for by in scales):
+        return text
+    return f"{text}, times {', '.join(f'{by:g}' for by in (scales[:1] if len(set(scales)) == 1 else scales))}"
 
 
 def _span(names: Sequence[str]) -> str:
@@ -200,8 +203,8 @@ def _signal(signal: Signal) -> dict[str, Any]:
     return {
         "quantity": signal.quantity, "topic": signal.topic or None,
         "columns": {
-            ours: {"from": theirs, "unit": unit}
-            for ours, theirs, unit in zip(signal.ours, signal.columns, signal.units, strict=True)
+            ours: {"from": theirs, "unit": unit, "scale": scale}
+            for ours, theirs, unit, scale in zip(signal.ours, signal.columns, signal.units, signal.scales, strict=True)
         },
         "clock": signal.clock.kind, "recorded": signal.recorded, "samples": len(signal.times), "held_rows": signal.held,
         "rate_hz": 1.0 / signal.step if signal.step else np.nan, "jitter_s": None if timing is None else timing.jitter,

@@ -18,6 +18,7 @@ from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.importing.clock import lag
 from bayesid.recordings.importing.column_map import ColumnMap, load_column_map
+from bayesid.recordings.importing.found_columns import currents
 from bayesid.recordings.importing.reader import joined, read_source
 from bayesid.recordings.importing.recording import Recording, make_recording
 from bayesid.recordings.importing.signals import Signal
@@ -30,10 +31,10 @@ from bayesid.signals.smoothing import smooth
 from bayesid.validation.mistakes.delay import delay_profile
 
 _Paths = str | Path | Sequence[str | Path]
-#: Parts of a complaint of a unit, and what says the unit in an import.
 _COURSE = 10.0  # bandwidth of the positions that other topics are compared with [Hz]
 _LONGEST_NAME = 80  # of a motion, which experiment.toml may call a little longer [bytes]
 _STANDS = 0.02  # a joint that moves by less stands [rad or m]
+#: Parts of a complaint of a unit, and what says the unit in an import.
 _UNITS = {
     "degrees per second": "v=deg/s", "degrees": "q=deg", "millimetres": "q=mm", "milliseconds": "t=ms", "microseconds": "t=us",
     "nanoseconds": "t=ns",
@@ -165,7 +166,7 @@ def read_recording(
             f"no recording for validation: name one ({argument('validation')}), or hold out the end of this one "
             f"({argument('hold_out', 0.3)}), to test the estimate"
         )
-    _check_readings(motions, placed)
+    _check_readings(motions, placed, made[0][0])
     library = EffectLibrary().for_robot(robot.n, np.flatnonzero(robot.prismatic).tolist())
     try:
         experiment = Experiment(
@@ -173,7 +174,7 @@ def read_recording(
             effects=effects, effect_values=values, library=library,
         )  # fmt: skip
     except InputError as error:
-        raise _with_unit(error) from None
+        raise _of_log(error, dict(zip(names, (recording for recording, _ in made), strict=True))) from None
     recordings = tuple(
         ImportedRecording(label, files, recording, _delays(experiment, label, recording))
         for label, (recording, files) in zip(names, made, strict=True)
@@ -293,7 +294,7 @@ def _sensor(given: Sensor | str | None, recordings: Sequence[Recording], file: U
     ]
 
 
-def _check_readings(motions: Sequence[Motion], sensor: Sensor | None) -> None:
+def _check_readings(motions: Sequence[Motion], sensor: Sensor | None, recording: Recording) -> None:
     for motion in motions:
         if motion.table.torques is None and (motion.table.wrench is None or sensor is None):
             if motion.table.wrench is not None:
@@ -301,16 +302,25 @@ def _check_readings(motions: Sequence[Motion], sensor: Sensor | None) -> None:
                     "there is a wrench, and no torques, but it is not known where the sensor sits", file=motion.name,
                     remedy=f"say it: {argument('sensor', 'base')}, or the name of the joint that it sits in",
                 )  # fmt: skip
-            raise InputError(
-                "no torques and no wrench are found", file=motion.name,
-                remedy=f"name their columns ({argument('columns')}), or record them",
-            )  # fmt: skip
+            joints = recording.layout.joints
+            measured = currents(recording.source.streams, len(joints))
+            said = f"name their columns ({argument('columns')}), or record them"
+            if measured:
+                said = (
+                    f"{listed(measured, 4)} may be motor currents: {argument('columns')} tau={measured[0]}, {argument('units')} "
+                    f"tau=A, and N m per A at each joint, {argument('scale')} {joints[0]}=11.2,..."
+                )
+            raise InputError("no torques and no wrench are found", file=motion.name, remedy=said)
 
 
-def _with_unit(error: InputError) -> InputError:
-    """A complaint of a unit, with what says the unit in an import."""
-    said = next((option for words, option in _UNITS.items() if words in str(error)), None)
-    return InputError(f"{error} (or say so: {argument('units')} {said})" if said else str(error))
+def _of_log(error: InputError, recordings: Mapping[str, Recording]) -> InputError:
+    """A complaint with the log's own names of columns, and where it is of a unit with what says the unit in an import."""
+    text = str(error)
+    said = next((option for words, option in _UNITS.items() if words in text), None)
+    recording = next((r for name, r in recordings.items() if text.startswith((f"{name}:", f"{name}-end:"))), None)
+    theirs = {} if recording is None else recording.names
+    text = re.sub(r"\bcolumn (\w+)", lambda m: f'column "{theirs[m[1]]}"' if m[1] in theirs else m[0], text)
+    return InputError(f"{text} (or say so: {argument('units')} {said})" if said else text)
 
 
 def _delays(experiment: Experiment, name: str, recording: Recording) -> tuple[Delay, ...]:

@@ -29,6 +29,7 @@ from bayesid.recordings.table import WRENCH_COLUMNS
 _COMMAND = {"desired", "reference", "command", "commanded", "target", "setpoint", "action"}
 _TIME = re.compile(r"[%_\s]*(?:t|times?|time_?stamps?|stamps?)(?:[\s_]*(s|ms|us|ns|sec|seconds))?", re.IGNORECASE)
 _AXIS = re.compile(r"(?:(?P<force>f|force)|(?P<moment>m|t|moment|torque))[\s/._]?(?P<axis>[xyz])", re.IGNORECASE)
+_CURRENT = {"current", "currents", "cur", "amps"}
 _SEPARATORS = " /._-:[]()"
 
 
@@ -77,7 +78,7 @@ def find_columns(
     if not positions:
         raise InputError(f"no positions of {listed(wanted, 6)} are found", file=source, remedy=finder.what_to_name(wanted))
     if joints is not None and (missing := [name for k, name in enumerate(joints) if k not in positions]):
-        remedy = f"name their columns; {_shown(streams)}"
+        remedy = f"name their columns; {_shown(streams, len(wanted), 'q')}"
         raise InputError(f"no positions of {listed(missing)} are found", file=source, remedy=remedy)
     present = [k for k in range(len(wanted)) if k in positions]
     names = tuple(wanted[k] for k in present)
@@ -115,7 +116,7 @@ def time_column(stream: Stream, stated: ColumnMap, source: str) -> tuple[str, st
         names = [column for column in names if column == "t"] or names
     if len(names) != 1:
         what = f"times could be {listed(names)}" if names else "no column of times is found"
-        raise InputError(what, file=source, remedy=f"name it ({argument('columns')} t=NAME); {_shown([stream])}")
+        raise InputError(what, file=source, remedy=f"name it ({argument('columns')} t=NAME); {_shown([stream], 1, 't')}")
     matched = _TIME.fullmatch(without_unit(names[0]))
     by_name = _stated_unit(names[0], "t") or (known_unit("t", matched[1]) if matched and matched[1] else None)
     return names[0], stated.unit("t") or by_name
@@ -241,9 +242,11 @@ class _Finder:
         if names:
             option = argument("joint_names", f"{joints[0]}={names[0]},...") if joints else argument("joint_names")
             return f"the log's joints are {listed(names, 8)}: say which is which ({option})"
-        example = "q={joint}/position" if len(columns) > 1 else "q=..."
-        there = listed([cut(column, 60) for column in columns], 14)
-        return f"name their columns ({argument('columns')}, such as {example}); there are {there}"
+        groups = _groups(self.streams)
+        likely = [name for name, size in groups.items() if size == len(joints) and _is_called(name, "q")]
+        example = f"q={likely[0] if likely else '{joint}/position' if len(columns) > 1 else '...'}"
+        there = _shown(self.streams, len(joints), "q")
+        return f"name their columns ({argument('columns')}, such as {example}); {there}"
 
     def _entries(self, name: str, key: str) -> list[str]:
         """Names of the columns of an array, or of a part of it (``state[0:6]``)."""
@@ -333,10 +336,52 @@ def _stated_unit(column: str, quantity: str) -> str | None:
 
 
 def _near(name: str, streams: Sequence[Stream]) -> str:
-    return suggest(name, [s.full_name(c) for s in streams for c in s.columns], "its columns are")
+    return suggest(name, [*_groups(streams), *(s.full_name(c) for s in streams for c in s.columns)], "its columns are")
 
 
-def _shown(streams: Sequence[Stream]) -> str:
-    """What there is, for messages."""
-    names = [s.full_name(column) for s in streams for column in s.columns]
-    return f"its columns are: {listed([cut(name, 60) for name in names], 14)}" if names else "nothing was read of it"
+def _shown(streams: Sequence[Stream], count: int, quantity: str) -> str:
+    """What there is, for messages: first what has so many columns, and of that what is called as the quantity is."""
+    groups = _groups(streams)
+    order = sorted(groups, key=lambda name: (groups[name] != count, not _is_called(name, quantity)))
+    return f"its columns are: {listed([cut(name, 60) for name in order], 14)}" if order else "nothing was read of it"
+
+
+def _is_called(name: str, quantity: str) -> bool:
+    """Whether a name has a word of a quantity, ``t`` included, in it."""
+    parts = _words_of(name)
+    return any(_TIME.fullmatch(part) if quantity == "t" else QUANTITY_OF_WORD.get(part) == quantity for part in parts)
+
+
+def currents(streams: Sequence[Stream], count: int) -> list[str]:
+    """What is called a measured current and has so many columns, as `_groups` names it."""
+    named = ((name, _words_of(name)) for name, size in _groups(streams).items() if size == count)
+    return [name for name, words in named if words & _CURRENT and not words & _COMMAND]
+
+
+def _words_of(name: str) -> set[str]:
+    return set(re.split(r"[^a-z]+", name.lower()))
+
+
+def _groups(streams: Sequence[Stream]) -> dict[str, int]:
+    """Columns as a user may name them together, an array ``state[0:6]`` or numbers ``current_{0}``, and how many each stands for.
+
+    What stands in longer streams comes first, then in the order of the recording.
+    """
+    numbers: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for stream in sorted(streams, key=lambda s: -max(map(len, s.columns.values()), default=0)):
+        for column in stream.columns:
+            match = re.fullmatch(r"(.*?)(\[?)(\d+)(\]?)", name := stream.full_name(column))
+            if match and bool(match[2]) == bool(match[4]):
+                numbers[match[1], match[2]].append(int(match[3]))
+            else:
+                numbers[name, "-"].append(0)
+    out: dict[str, int] = {}
+    for (name, kind), found in numbers.items():
+        first = min(found)
+        if kind == "[" and found == list(range(len(found))):
+            out[f"{name}[0:{len(found)}]"] = len(found)
+        elif not kind and len(found) > 1 and first < 2 and sorted(found) == list(range(first, first + len(found))):
+            out[f"{name}{{{first}}}"] = len(found)
+        else:
+            out |= dict.fromkeys((name if kind == "-" else f"{name}[{k}]" if kind else f"{name}{k}" for k in found), 1)
+    return out

@@ -135,6 +135,12 @@ class Recording:
         times = [(stream, clock.column) for stream, clock in self.clocks]
         return (*self.layout.left_over(self.source.streams, times), *self.source.unread)
 
+    @property
+    def names(self) -> dict[str, str]:
+        """The log's names of columns by ours."""
+        times = [("t", clock.column) for _, clock in self.clocks if clock.column]
+        return dict(times) | {ours: theirs for s in self.signals for ours, theirs in zip(s.ours, s.columns, strict=True)}
+
     def table(self, name: str, wrench: bool = True) -> Table:
         """The recording as a table that messages call ``name``, with or without the wrench."""
         n, values, ours = len(self.layout.joints), self.joined.values, self.joined.ours

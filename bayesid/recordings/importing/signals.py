@@ -36,6 +36,7 @@ class Signal:
     values: np.ndarray
     columns: tuple[str, ...]  # the log's names (k,)
     units: tuple[str, ...]  # those that it was written in (k,)
+    scales: tuple[float, ...]  # stated factors that it was multiplied with after its unit (k,); 1 where none is
     topic: str  # the stream's name; empty for a table
     clock: RowTimes  # of its stream
     rows: np.ndarray  # which rows of the stream these are (N,)
@@ -88,8 +89,8 @@ def make_signals(
         stream = found[0].stream
         clock = next(clock for one, clock in clocks if one is stream)
         converted = [_converted(f, stated, layout.joints, source) for f in found]
-        values = np.column_stack([column for column, _ in converted])
-        units = tuple(unit for _, unit in converted)
+        columns, units, scales = zip(*converted, strict=True)
+        values = np.column_stack(columns)
         there = [k for k in range(len(found)) if not np.isnan(values[:, k]).all()]
         if len(there) < len(found):
             without = listed([f.column for k, f in enumerate(found) if k not in there], 4)
@@ -101,7 +102,8 @@ def make_signals(
                 notes.append(f"{NAMES[quantity]}: no reading in any row of {without}; not used")
                 continue
             notes.append(f"torques: no reading in any row of {without}")
-            found, units, values = [found[k] for k in there], tuple(units[k] for k in there), values[:, there]
+            found, values = [found[k] for k in there], values[:, there]
+            units, scales = (tuple(part[k] for k in there) for part in (units, scales))
         rows, more = _usable(clock, values, stream.name or "table", source)
         notes += more
         times = clock.times[rows]
@@ -110,7 +112,7 @@ def make_signals(
             notes.append(f"{NAMES[quantity]}: times shifted by {shift:g} s, as stated")
         signal = Signal(
             quantity, tuple(f.ours for f in found), times, values[rows],
-            tuple(stream.full_name(f.column) for f in found), units, stream.name, clock, rows,
+            tuple(stream.full_name(f.column) for f in found), units, scales, stream.name, clock, rows,
             int(np.count_nonzero(~np.isnan(values).any(axis=1))),
         )  # fmt: skip
         signals.append(_without_held(signal) if held else signal)
@@ -125,8 +127,8 @@ def resting(found: FoundColumn, stated: ColumnMap, joint: str, source: str) -> t
     return (float(np.median(values)), float(np.ptp(values))) if len(values) else None
 
 
-def _converted(found: FoundColumn, stated: ColumnMap, joints: Sequence[str], source: str) -> tuple[np.ndarray, str]:
-    """A column in SI units, and the unit that it was written in."""
+def _converted(found: FoundColumn, stated: ColumnMap, joints: Sequence[str], source: str) -> tuple[np.ndarray, str, float]:
+    """A column in SI units, the unit that it was written in, and the factor that is stated for it."""
     quantity = quantity_of(found.ours)
     raw = found.stream.columns[found.column]
     place = f'column "{cut(found.stream.full_name(found.column), 80)}"'
@@ -147,8 +149,9 @@ def _converted(found: FoundColumn, stated: ColumnMap, joints: Sequence[str], sou
             key=f"units {found.ours}", value=unit,
             remedy=f"write N m per {unit} at the joint, {argument('scale')} {joint}=11.2",
         )  # fmt: skip
-    factor = (1.0 if unit is None else UNITS[quantity][unit]) * (1.0 if scale is None else scale)
-    return (values if factor == 1.0 else values * factor), unit or next(iter(UNITS[quantity]))
+    scale = 1.0 if scale is None else scale
+    factor = (1.0 if unit is None else UNITS[quantity][unit]) * scale
+    return (values if factor == 1.0 else values * factor), unit or next(iter(UNITS[quantity])), scale
 
 
 def _usable(clock: RowTimes, values: np.ndarray, what: str, source: str) -> tuple[np.ndarray, list[str]]:

@@ -228,3 +228,21 @@ def test_data_sets_that_are_of_another_version_or_damaged_are_refused(known, tmp
     (folder / "meta" / "info.json").write_text("{")
     with pytest.raises(InputError, match="cut/meta/info.json: cannot be read"):
         bayesid.read_recording(folder, known.urdf)
+
+
+def test_a_refusal_names_what_may_be_meant_first(known, tmp_path):
+    """Of many matrices those of as many columns as joints, called positions before others, as `columns` takes them."""
+    n = len(known.t)
+    log = {f"ctrl/state{k}": np.zeros((n, 5)) for k in range(15)} | {f"ctrl/err{k}": np.zeros(n) for k in range(15)}
+    log |= {"para/gains": np.zeros(7), "rec/kept": known.tau, "rec/act_pos_rad": known.q, "clock": known.t}
+    nested: dict[str, dict[str, np.ndarray]] = {}
+    for name, values in log.items():
+        group, _, field = name.rpartition("/")
+        nested.setdefault(group or "clock", {})[field] = values
+    scipy.io.savemat(tmp_path / "log.mat", nested)
+    with pytest.raises(InputError, match=r"its columns are: rec/act_pos_rad\[0:2\], rec/kept\[0:2\], ctrl/state0\[0:5\]") as said:
+        bayesid.read_recording(tmp_path / "log.mat", known.urdf, joints=JOINTS)
+    assert str(said.value).endswith("and 6 more") and "such as q=rec/act_pos_rad[0:2])" in str(said.value)
+    columns = {"t": "clock/clock", "q": "rec/act_pos_rad[0:2]", "tau": "rec/kept[0:2]"}
+    table = bayesid.read_recording(tmp_path / "log.mat", known.urdf, joints=JOINTS, columns=columns).experiment.motions[0].table
+    np.testing.assert_array_equal(table.positions, known.q)

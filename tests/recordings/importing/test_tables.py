@@ -360,7 +360,7 @@ def test_the_command_line_does_the_same(known, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "q1 shoulder, q2 elbow" in printed and "torques" in printed and "current_0 ... current_1 [A]" in printed
     document = json.loads((tmp_path / "arm" / "import.json").read_text(encoding="utf-8"))
-    assert document["recordings"][0]["signals"][0]["columns"]["q1"] == {"from": "pos_shoulder", "unit": "deg"}
+    assert document["recordings"][0]["signals"][0]["columns"]["q1"] == {"from": "pos_shoulder", "unit": "deg", "scale": 1.0}
     np.testing.assert_allclose(bayesid.load_experiment(tmp_path / "arm")["log"].table.torques, known.tau, rtol=1e-12)
     assert main(["check", str(tmp_path / "arm"), "--out", str(tmp_path / "checked")]) == 0
     assert main([*command, *stated, "--scale", "tau=11.5"]) == 2 and "is there already" in capsys.readouterr().err
@@ -423,3 +423,40 @@ def test_what_is_wrong_with_a_mapping_in_experiment_toml_is_said_in_one_line(fol
             assert said in str(error.value)
         else:
             assert bayesid.load_experiment(folder)["id"].table.torques is not None
+
+
+def test_currents_are_offered_where_there_are_no_torques_and_their_factors_are_told(known, tmp_path):
+    """As Universal Robots' RTDE calls them; what the controller aims at is no measurement."""
+    frame = pd.DataFrame({"timestamp": known.t})
+    for k in range(2):
+        frame[f"actual_q_{k}"], frame[f"target_current_{k}"] = known.q[:, k], 0.0
+        frame[f"actual_current_{k}"] = known.tau[:, k] / (10.0, 12.5)[k]
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(
+        InputError, match=r"no torques.*; actual_current_\{0\} may be motor currents: columns tau=actual_cur"
+    ) as said:
+        only(tmp_path / "log.csv", known, joints=JOINTS)
+    assert "target_current" not in str(said.value) and "scale shoulder=" in str(said.value)
+    stated = dict(columns={"tau": "actual_current_{0}"}, units={"tau": "A"}, joints=JOINTS)
+    imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, scale={"shoulder": 10.0, "elbow": 12.5}, **stated)
+    np.testing.assert_allclose(imported.experiment.motions[0].table.torques, known.tau, rtol=1e-12)
+    assert "tau1 ... tau2 from actual_current_0 ... actual_current_1 [A], times 10, 12.5\n" in str(imported)
+    columns = imported.to_dict()["recordings"][0]["signals"][-1]["columns"]
+    assert [columns[name]["scale"] for name in ("tau1", "tau2")] == [10.0, 12.5]
+    alike = bayesid.read_recording(tmp_path / "log.csv", known.urdf, scale={"tau": 11.5}, **stated)
+    assert "[A], times 11.5\n" in str(alike) and "q1 ... q2 from actual_q_0 ... actual_q_1\n" in str(alike)
+
+
+def test_a_refusal_of_the_clock_has_the_logs_own_names(known, tmp_path):
+    frame = pd.DataFrame({"Time": known.t * 1e3})
+    for k in range(2):
+        frame[f"Position{k + 1}"], frame[f"Velocity{k + 1}"], frame[f"Torque{k + 1}"] = (
+            known.q[:, k],
+            known.v[:, k],
+            known.tau[:, k],
+        )
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    said = r'column "Velocity1": .* what column "Position1" of shoulder says; column "Time" looks like milliseconds.*units t=ms'
+    with pytest.raises(InputError, match=said):
+        only(tmp_path / "log.csv", known, joints=JOINTS)
+    np.testing.assert_allclose(only(tmp_path / "log.csv", known, joints=JOINTS, units={"t": "ms"}).times, known.t, rtol=1e-12)
