@@ -108,11 +108,13 @@ def of_weight(robot: Robot, channels: Sequence[str]) -> list[Candidate]:
         j = int(column.removeprefix("tau")) - 1
         name = robot.joint_names[j]
         says = f"gravity seems to be taken out of the torque of {name} ({column}) already, by a controller or a counterbalance"
-        remedy = f"record {column} before gravity is compensated, or leave it out"
+        # A spring, a cylinder or a weight: what it takes off the drive is not missing in the readings.
+        balance = f"a counterbalance is part of the robot: add spring@joint{j + 1} to [model] effects"
+        remedy = f"record {column} before a controller compensates gravity, or leave it out; {balance}"
         out.append(Candidate("gravity_removed", column, says, remedy, Change(weightless=(k,)), (j,)))
         if masses:
             says = f"gravity as the URDF's masses make it seems to be taken out of the torque of {name} ({column})"
-            remedy = f"add that gravity torque to {column} again"
+            remedy = f"if a controller does that, add that gravity torque to {column} again; {balance}, and change no torque"
             out.append(Candidate("gravity_removed", f"{column} nominal", says, remedy, Change(weight_added=(k,)), (j,)))
     return out
 
@@ -192,6 +194,18 @@ def order(names: Sequence[str], positions: Sequence[int], torques: Sequence[int]
     says = f"positions and torques seem to be in other orders: {held('q', positions)}; {held('tau', torques)}"
     where = f"{of('q', positions)};{of('tau', torques)}"
     return Candidate("column_order", where, says, "reorder the columns q and tau", change, moved)
+
+
+def zeros(names: Sequence[str], angles: Sequence[float]) -> Candidate:
+    """Positions that count from another zero than the URDF's: what must be added to each (n,) [rad]."""
+    which = [j for j, angle in enumerate(angles) if angle != 0.0]
+    several, owners = ("s" if len(which) > 1 else ""), in_words([names[j] for j in which])
+    added = in_words([f"{angles[j]:+.5g} rad ({np.degrees(angles[j]):+.0f} degrees) to q{j + 1}" for j in which])
+    says = f"{owners} seem{'' if several else 's'} to count from {'other zeros' if several else 'another zero'} than the URDF"
+    return Candidate(
+        name=f"position_zero{several}", where=",".join(f"q{j + 1}" for j in which), says=says,
+        remedy=f"add {added}, or turn the zero{several} in the URDF", change=Change(zeros=np.array(angles, dtype=float)),
+    )  # fmt: skip
 
 
 def in_words(words: Sequence[str]) -> str:

@@ -19,6 +19,7 @@ _STEP, _LONGEST = 0.01, 0.5  # of the delays that are tried [s]
 _SHARE = 0.1  # of the shortest piece, at most
 _SHORTEST, _LONG = 2.0, 0.25  # of pieces [s], and as a share of the longest
 _SAMPLES, _SMOOTHED = 400, 20_000
+_PARTS = 8  # of all recordings, which must agree
 _MARGIN = 0.75 / BANDWIDTH  # ends of a spline are loose [s]
 #: Log odds against no delay that it needs: as any other mistake (`bayesid.validation.mistakes.search`).
 _NEEDED = 13.8
@@ -33,18 +34,38 @@ class Profile:
     left: np.ndarray  # rms of each channel (c, k) [unit of the channel]
     gained: np.ndarray  # log likelihood of a sample over that without a delay (k,) [nats]
     worth: float  # how many independent samples there are
+    #: Share of each channel's mean square residual at the best delay that is left in each part of the recordings (c, parts, k).
+    power: np.ndarray
+
+    @property
+    def bend(self) -> float:
+        """Curvature of the log likelihood of a sample at the best delay that was tried [nats a step squared]."""
+        k = int(np.argmax(self.gained))
+        return max(2.0 * self.gained[k] - self.gained[k - 1] - self.gained[k + 1], 1e-12)
 
     def best(self) -> tuple[float, float] | None:
         """The delay that explains most, and its standard deviation [s]; None where it is the first or last that was tried.
 
-        The top of the parabola through the best delay that was tried and its neighbours, and the curvature there.
+        The top of the parabola through the best delay that was tried and its neighbours. The standard deviation is the largest of
+        four: by the curvature there; by the scatter between channels and between parts of the recordings, from how much each of
+        them would move the top; and by other delays far from it that are nearly as likely.
         """
         k = int(np.argmax(self.gained))
         if not 0 < k < len(self.delays) - 1:
             return None
-        low, top, high = self.gained[k - 1 : k + 2]
-        bend = max(2.0 * top - low - high, 1e-12)
-        return float(self.delays[k] + 0.5 * _STEP * (high - low) / bend), float(_STEP / np.sqrt(self.worth * bend))
+        low, top, high = np.moveaxis(self.power[:, :, k - 1 : k + 2], 2, 0)
+        away = 0.5 * (self.gained[k + 1] - self.gained[k - 1]) / self.bend  # from the best delay that was tried, in steps
+        pull = -0.5 * (0.5 * (high - low) + away * (high - 2.0 * top + low)) / self.bend  # of each channel in each part, in steps
+        scatter = [np.sum(p**2) * len(p) / max(len(p) - 1, 1) for p in (pull.sum(axis=1), pull.sum(axis=0))]
+        variance = max(1.0 / (self.worth * self.bend), *scatter)
+        odds = np.exp((self.gained - self.gained[k]) / (self.bend * variance))
+        steps = np.arange(len(odds)) - k
+        far = np.sum(np.where(np.abs(steps) > 1, odds, 0.0) * (steps - away) ** 2) / np.sum(odds)
+        return float(self.delays[k] + _STEP * away), float(_STEP * np.sqrt(max(variance, far)))
+
+    def evidence(self, std: float) -> float:
+        """Log odds against no delay, for a standard deviation of the best one [s]: of as many samples as that is worth [nats]."""
+        return float(self.gained.max() * (_STEP / std) ** 2 / self.bend)
 
 
 def delay_profile(experiment: Experiment, channel: str) -> Profile | None:
@@ -115,8 +136,11 @@ def _profile(delays: np.ndarray, design: np.ndarray, read: np.ndarray, none: int
         left = np.sqrt(np.mean(residual[:, :, none] ** 2, axis=0))
     every = np.sqrt(np.mean(residual**2, axis=0))
     likelihood = -np.log(np.maximum(every, floor[:, None])).sum(axis=0)
-    worth = independent_samples(residual[:, :, int(np.argmax(likelihood))], np.zeros(count))
-    return Profile(delays, every, likelihood - likelihood[none], worth)
+    best = int(np.argmax(likelihood))
+    worth = independent_samples(residual[:, :, best], np.zeros(count))
+    power = np.stack([np.sum(part**2, axis=0) for part in np.array_split(residual, _PARTS)], axis=1) / count
+    power /= np.maximum(every[:, best], floor)[:, None, None] ** 2
+    return Profile(delays, every, likelihood - likelihood[none], worth, power)
 
 
 def delayed(experiment: Experiment, channel: str) -> Mistake | None:
@@ -125,9 +149,8 @@ def delayed(experiment: Experiment, channel: str) -> Mistake | None:
     if profile is None:
         return None
     best, none = int(np.argmax(profile.gained)), len(profile.delays) // 2
-    gained = float(profile.gained[best])
     found = profile.best()
-    if found is None or gained < WORSE or profile.worth * gained < _NEEDED:
+    if found is None or profile.gained[best] < WORSE or profile.evidence(found[1]) < _NEEDED:
         return None
     delay, std = found
     channels = make_channels(experiment, channel)
@@ -141,6 +164,6 @@ def delayed(experiment: Experiment, channel: str) -> Mistake | None:
         f"{channels.units[k]} rms; shift the times of {moved} by {-abs(delay):.3f} s and interpolate, or record on one clock"
     )
     return Mistake(
-        name=f"{channel}_delay", where="", text=text, channel=channel, evidence=profile.worth * gained,
+        name=f"{channel}_delay", where="", text=text, channel=channel, evidence=profile.evidence(std),
         before=tuple(map(float, profile.left[:, none])), after=tuple(map(float, profile.left[:, best])),
     )  # fmt: skip

@@ -31,7 +31,7 @@ _RIDGE, _HARDLY_ANY = 1e-5, 1e-10
 #: channel or of all together [nats a sample].
 WORSE = float(np.log(4.0 / 3.0))
 #: Readings of which more of the power is left are not explained.
-_LEFT = 0.25
+UNEXPLAINED = 0.25
 _ROUNDS = 2  # of weighting channels by what they leave
 
 
@@ -42,6 +42,7 @@ class Change:
     #: Matrix that the readings are multiplied by, (c, c), or one a sample, (N, c, c); None: as they are.
     readings: np.ndarray | None = None
     joints: np.ndarray | None = None  # matrix that positions and their rates are multiplied by (n, n); None: as they are
+    zeros: np.ndarray | None = None  # added to the positions then (n,) [rad or m]; None: nothing
     gravity: np.ndarray | None = None  # in place of the stated one (3,) [m/s^2]; None: the stated one
     weightless: tuple[int, ...] = ()  # channels whose readings lack the weight, because something has taken out all of it
     #: Channels that lack the weight of the nominal bodies, because something has taken out what the URDF says it is.
@@ -56,15 +57,21 @@ AS_RECORDED = Change()
 class RobotFit:
     """The best robot that could exist."""
 
+    family: int  # of any bodies (0), or of the nominal ones times a factor each (1)
     parameters: np.ndarray  # those of all bodies, ten each, then friction and offsets (p,)
     residual: np.ndarray  # what is left of the readings as recorded (N, c) [unit of the column]
     left: np.ndarray  # its rms (c,)
-    log_likelihood: float  # of one sample, with the noise of every column profiled out
+    floor: np.ndarray  # residuals that are no evidence (c,)
     count: int  # how many numbers the data as they are needed for the same bodies, and those of the change
 
-    def score(self, worth: float) -> float:
-        """Log evidence by the Bayesian information criterion, of so many independent samples [nats]."""
-        return _score(self.log_likelihood, self.count, worth)
+    @property
+    def log_likelihood(self) -> float:
+        """Of one sample, with the noise of every column profiled out [nats]."""
+        return log_likelihood(self.left, self.floor)
+
+    def score(self, worth: float, floor: np.ndarray | None = None) -> float:
+        """Log evidence (Bayesian information criterion) of so many independent samples; other floors may be given [nats]."""
+        return _score(log_likelihood(self.left, self.floor if floor is None else floor), self.count, worth)
 
 
 class Explainer:
@@ -107,39 +114,77 @@ class Explainer:
         """
         columns, squares = self._as_recorded(change)
         target = self._target(change)
-        products = np.einsum("ncm,nc->cm", columns, target, optimize=True)
         fits = []
-        for k, expand in enumerate(self._families):
-            if change.weight_added and k == 0:
-                continue
-            left, residual, factors = self.variation, target, np.zeros(expand.shape[1])
-            for _ in range(_ROUNDS):
-                weights = np.maximum(left, self.floor) ** -2
-                whole = np.tensordot(weights, squares, 1)
-                ridge = _RIDGE if k == 0 else _HARDLY_ANY
-                factors = _non_negative(expand.T @ whole @ expand, expand.T @ (weights @ products), ridge)
-                residual = target - columns @ (expand @ factors)
-                left = np.sqrt(np.mean(residual**2, axis=0))
+        for k in self._possible(change):
+            parameters, count = self._solved(k, columns, target, squares)
+            residual = target - columns @ parameters
             if k == len(self._counts):
-                self._counts.append(int(np.count_nonzero(factors)))
-            likelihood = self._log_likelihood(left)
-            fits.append(RobotFit(expand @ factors, residual, left, likelihood, self._counts[k] + change.numbers))
+                self._counts.append(count)
+            fits.append(RobotFit(k, parameters, residual, _rms(residual), self.floor, self._counts[k] + change.numbers))
         return fits
 
-    def explains(self, fit: RobotFit, null: RobotFit, change: Change) -> bool:
-        """Whether a fit of changed data explains the readings, and does not only make them more probable than ``null``.
+    def _possible(self, change: Change) -> range:
+        return range(1 if change.weight_added else 0, len(self._families))
 
-        In the columns that it mends it closes half of the way to the least that can be left of them, in nats; and of each kind
-        of reading in which it differs, a quarter of the power is left at most.
+    def _solved(self, k: int, columns: np.ndarray, target: np.ndarray, squares: np.ndarray) -> tuple[np.ndarray, int]:
+        """Parameters of the best robot of a family for readings (N, c), and how many of its factors are not zero."""
+        expand, products = self._families[k], np.einsum("ncm,nc->cm", columns, target, optimize=True)
+        left, factors = self.variation, np.zeros(expand.shape[1])
+        for _ in range(_ROUNDS):
+            weights = np.maximum(left, self.floor) ** -2
+            whole = np.tensordot(weights, squares, 1)
+            ridge = _RIDGE if k == 0 else _HARDLY_ANY
+            factors = _non_negative(expand.T @ whole @ expand, expand.T @ (weights @ products), ridge)
+            left = _rms(target - columns @ (expand @ factors))
+        return expand @ factors, int(np.count_nonzero(factors))
+
+    def left_out(self, change: Change = AS_RECORDED) -> dict[int, np.ndarray]:
+        """What is left of each column in parts of the motions that took no part in the fit, by family of robots (c,).
+
+        Each quarter of every motion is predicted by robots that are fitted to the others.
         """
-        worse, units = np.exp(WORSE), np.array(self.channels.units)
-        here, there = np.maximum(fit.left, self.floor), np.maximum(null.left, self.floor)
-        mended, differs = there > worse * here, (here > worse * there) | (there > worse * here)
+        columns, target = self._as_recorded(change)[0], self._target(change)
+        residuals = {k: np.empty_like(target) for k in self._possible(change)}
+        for quarter in range(4):
+            out = self.samples.quarter == quarter
+            kept, read = columns[~out], target[~out]
+            squares = _squares(kept)
+            for k, residual in residuals.items():
+                residual[out] = target[out] - columns[out] @ self._solved(k, kept, read, squares)[0]
+        return {k: _rms(residual) for k, residual in residuals.items()}
+
+    @cached_property
+    def unmended(self) -> dict[int, np.ndarray]:
+        """`left_out` of the data as recorded."""
+        return self.left_out()
+
+    def foretelling(self, change: Change, worth: float, needed: float) -> dict[int, np.ndarray]:
+        """`left_out` of changed data, of families that make those parts more probable than any does as recorded.
+
+        By ``needed`` [nats], for ``worth`` independent samples.
+        """
+        known = max(map(self._log_likelihood, self.unmended.values()))
+        return {k: e for k, e in self.left_out(change).items() if worth * (self._log_likelihood(e) - known) > needed}
+
+    def mends(self, change: Change, here: np.ndarray, family: int) -> bool:
+        """Whether data with a mistake undone are explained, and not only a little more probable.
+
+        From what a family of robots leaves of the data as recorded in parts that were not fitted to what it leaves ``here`` (c,)
+        it is half of the way, in nats, to the least that could be left. Columns count by what undoing it changes in them: of what
+        the fitted robot lets be read beside what is left, or of what is left. And of each kind of reading that it changes, a
+        quarter of the power is left at most.
+        """
+        here, there = (np.maximum(left, self.floor) for left in (here, self.unmended[family]))
         least = np.minimum(self._least(change), self._least(AS_RECORDED)) if self.torque else self.floor
-        way, closed = (np.log(there / np.minimum(end, there))[mended].sum() for end in (np.maximum(least, self.floor), here))
-        kinds = [units == unit for unit in set(units[differs])]
-        explained = all(np.sum(fit.left[kind] ** 2) <= _LEFT * np.sum(self.variation[kind] ** 2) for kind in kinds)
-        return bool(closed >= 0.5 * way) and explained
+        gained, way = np.log(there / here), np.log(there / np.minimum(np.maximum(least, self.floor), there))
+        fit = next(fit for fit in self.fit(change) if fit.family == family)
+        made = self._as_recorded(change)[0] - self._design(AS_RECORDED).columns
+        moved = (made @ fit.parameters - self._target(change) + self.samples.readings).std(axis=0)
+        weights = np.maximum(np.log(np.maximum(moved, here) / here), np.abs(gained))
+        units, changed = np.array(self.channels.units), np.maximum(moved, np.abs(there - here)) > here
+        kinds = [units == unit for unit in set(units[changed])]
+        explained = all(np.sum(here[kind] ** 2) <= UNEXPLAINED * np.sum(self.variation[kind] ** 2) for kind in kinds)
+        return explained and bool(weights @ gained > 0.5 * weights @ way)
 
     def highest_score(self, change: Change | None, worth: float) -> float:
         """What `RobotFit.score` of changed data, whatever is changed without a ``change``, cannot exceed [nats].
@@ -256,7 +301,7 @@ class Explainer:
 
     def _design(self, change: Change) -> Design:
         """Of the right readings."""
-        parts = (change.joints, change.gravity, np.array(change.weightless))
+        parts = (change.joints, change.zeros, change.gravity, np.array(change.weightless))
         key = tuple(b"" if a is None else np.asarray(a, dtype=float).tobytes() for a in parts)
         if key in self._designs:
             return self._designs[key]
@@ -264,6 +309,8 @@ class Explainer:
         motion = (s.positions, s.velocities, s.accelerations)
         if change.joints is not None:
             motion = tuple(m @ change.joints.T for m in motion)
+        if change.zeros is not None:
+            motion = (motion[0] + change.zeros, *motion[1:])
         if change.gravity is not None:
             robot = replace(robot, gravity=np.asarray(change.gravity, dtype=float))
         kernel = Kernel.of(robot, self.channels)
@@ -279,8 +326,7 @@ class Explainer:
         return self._designs[key]
 
     def _log_likelihood(self, left: np.ndarray) -> float:
-        """Of one sample, by what is left of each column (c,)."""
-        return -float(np.log(np.maximum(left, self.floor)).sum())
+        return log_likelihood(left, self.floor)
 
 
 def independent_samples(residual: np.ndarray, part: np.ndarray) -> float:
@@ -310,6 +356,10 @@ class Design:
     def squares(self) -> np.ndarray:
         """Products of columns by channel (c, p, p)."""
         return _squares(self.columns)
+
+
+def _rms(residual: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.mean(residual**2, axis=0))
 
 
 def _squares(columns: np.ndarray) -> np.ndarray:
@@ -342,6 +392,11 @@ def _non_negative(squares: np.ndarray, products: np.ndarray, ridge: float) -> np
     return out
 
 
-def _score(log_likelihood: float, count: int, worth: float) -> float:
+def log_likelihood(left: np.ndarray, floor: np.ndarray) -> float:
+    """Of one sample, by what is left of each column and the least that counts (c,)."""
+    return -float(np.log(np.maximum(left, floor)).sum())
+
+
+def _score(likelihood: float, count: int, worth: float) -> float:
     """By the Bayesian information criterion [nats]."""
-    return worth * log_likelihood - 0.5 * count * float(np.log(max(worth, 2.0)))
+    return worth * likelihood - 0.5 * count * float(np.log(max(worth, 2.0)))

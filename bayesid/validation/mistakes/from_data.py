@@ -1,7 +1,7 @@
 """Mistakes that are found from the data.
 
-Columns in another order, alphabetical or cyclic or any other, as an assignment of columns to joints; and a base that stands at
-any angle, as the direction of gravity that explains the readings best.
+Columns in another order, alphabetical or cyclic or any other, as an assignment of columns to joints; zeros of several joints that
+are quarter turns off; and a base that stands at any angle, as the direction of gravity that explains the readings best.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from bayesid.dynamics.regressors import Kernel
-from bayesid.validation.mistakes.candidates import Candidate, along, order
-from bayesid.validation.mistakes.evidence import WORSE, Change, Explainer, RobotFit
+from bayesid.validation.mistakes.candidates import Candidate, along, order, zeros
+from bayesid.validation.mistakes.evidence import EXPLAINED, WORSE, Change, Explainer, RobotFit
 
 _Order = tuple[int, ...]
 #: Log odds of a second mistake of its own [nats]: one in a thousand.
@@ -111,6 +111,43 @@ def _assigned(costs: np.ndarray, usual: _Order, free: Sequence[int]) -> _Order:
     for row, joint in zip(rows, joints, strict=True):
         out[free[joint]] = columns[row]
     return tuple(out)
+
+
+def other_zeros(explainer: Explainer, worth: float, needed: float) -> list[Candidate]:
+    """Zeros that are a quarter or half a turn off, as those of Denavit and Hartenberg's angles are beside a URDF's.
+
+    One joint after the other is turned, the one that gains most first, as long as each gains ``needed`` [nats]: as much as a
+    mistake of its own. Where one joint counts from such a zero, others are likely to, so that from the second on a column's
+    residual counts down to its own floor, however small the column is beside others: that is where a wrist's zero shows.
+    """
+    robot, names = explainer.robot, explainer.robot.joint_names
+    turns = (-0.5 * np.pi, 0.5 * np.pi, np.pi)
+    turned: tuple[float, ...] = (0.0,) * robot.n
+    found: list[Candidate] = []
+
+    def score(angles: tuple[float, ...], floor: np.ndarray) -> float:
+        fits = explainer.fit(Change(zeros=np.array(angles)) if any(angles) else Change())
+        return max(fit.score(worth, floor) for fit in fits)
+
+    for count in range(robot.n):
+        floor = explainer.floor if count == 0 else EXPLAINED * explainer.variation
+        free = [j for j in range(robot.n) if not robot.prismatic[j] and turned[j] == 0.0]
+        steps = [(*turned[:j], turn, *turned[j + 1 :]) for j in free for turn in turns]
+        scores = [score(angles, floor) for angles in steps]
+        if count == 0:
+            found = [zeros(names, angles) for angles in steps]
+        if not steps or max(scores) - score(turned, floor) < needed:
+            break
+        turned = steps[int(np.argmax(scores))]
+        odds = -count * log(len(turns) * robot.n)
+        found = [replace(zeros(names, turned), odds=odds), *(c for c in found if not _begins(c, turned))]
+    return found
+
+
+def _begins(candidate: Candidate, turned: Sequence[float]) -> bool:
+    """Whether all that a candidate turns is turned so."""
+    own = candidate.change.zeros
+    return own is not None and bool(((own == 0.0) | (own == turned)).all())
 
 
 def tilted(explainer: Explainer, starts: Sequence[Change], worth: float) -> list[Candidate]:

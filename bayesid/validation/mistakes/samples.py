@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -38,6 +39,15 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.part)
+
+    @cached_property
+    def quarter(self) -> np.ndarray:
+        """Which quarter of its recording each is from (N,)."""
+        out = np.empty(len(self), int)
+        for motion in np.unique(self.motion):
+            rows = np.flatnonzero(self.motion == motion)
+            out[rows] = 4 * np.arange(len(rows)) // len(rows)
+        return out
 
 
 def low_passed(experiment: Experiment, channel: str) -> Samples | None:

@@ -14,8 +14,16 @@ from bayesid.regression.readings import make_channels
 from bayesid.robot.robot import Robot
 from bayesid.validation.mistakes.candidates import Candidate, Mistake, candidates, link_placement, signs
 from bayesid.validation.mistakes.delay import delayed
-from bayesid.validation.mistakes.evidence import AS_RECORDED, EXPLAINED, WORSE, Explainer, RobotFit, independent_samples
-from bayesid.validation.mistakes.from_data import orders, tilted
+from bayesid.validation.mistakes.evidence import (
+    AS_RECORDED,
+    EXPLAINED,
+    UNEXPLAINED,
+    WORSE,
+    Explainer,
+    RobotFit,
+    independent_samples,
+)
+from bayesid.validation.mistakes.from_data import orders, other_zeros, tilted
 from bayesid.validation.mistakes.samples import low_passed
 from bayesid.validation.mistakes.scale import by_joint, implausible_size, weight_carried
 
@@ -245,9 +253,11 @@ def _named(experiment: Experiment, search: MistakeSearch) -> list[Mistake]:
     alike = [t for t in search.tried if t.evidence > max(best.evidence - ALIKE, NEEDED)]
     # What was made to suit the data is said where nothing else suits them as well.
     alike = [t for t in alike if not t.candidate.change.numbers] or alike
-    remedies = [t for t in alike if explainer.explains(t.fit, search.null, t.candidate.change)]
+    foretold = [(t, explainer.foretelling(t.candidate.change, search.worth, ALIKE)) for t in alike]
+    remedies = [t for t, left in foretold if any(explainer.mends(t.candidate.change, here, k) for k, here in left.items())]
     if not remedies:
-        return [not_explained(explainer, search.null, best.fit)]
+        unexplained = (search.null.left**2 > UNEXPLAINED * explainer.variation**2).any()
+        return [not_explained(explainer, search.null, best.fit)] if unexplained and any(left for _, left in foretold) else []
     found = worded(experiment, explainer, search.null, [(t.candidate, t.fit) for t in remedies], remedies[0].evidence)
     change = remedies[0].candidate.change
     return [found, *(implausible_size(explainer, change) if found.name in _SIGNS else [])]
@@ -267,6 +277,8 @@ def searched(
         search.try_out(known(_several_signs(search)))
     if search.worth_going_on:
         search.try_out(known(orders(explainer, search.doubted)))
+    if search.worth_going_on:
+        search.try_out(known(other_zeros(explainer, search.worth, search.needed)))
     if search.worth_going_on and explainer.torque:
         search.try_out(known(by_joint(explainer, search.worth)))
     if search.worth_going_on:
