@@ -91,6 +91,12 @@ def times(matrix: np.ndarray, *fields: str) -> Callable[[Table], Table]:
     return lambda t: replace(t, **{f: getattr(t, f) @ matrix.T for f in fields if getattr(t, f) is not None})
 
 
+def turned(angles: np.ndarray) -> Callable[[Table], Table]:
+    """Positions that count from other zeros (n,) [rad]."""
+    fields = ("positions", "commanded")
+    return lambda t: replace(t, **{f: getattr(t, f) + angles for f in fields if getattr(t, f) is not None})
+
+
 def made(experiment: Experiment) -> Iterator[Made]:
     """Every mistake that these recordings allow, each on its own."""
     first = experiment.identification[0].table
@@ -108,6 +114,7 @@ def made(experiment: Experiment) -> Iterator[Made]:
         return out
 
     yield from _of_gravity(experiment)
+    yield from _of_zeros(experiment)
     if first.torques is not None:
         yield from _of_columns(experiment)
         yield Made("all torques negated", changed(experiment, times(-one, "torques")), (("torque_signs", ""),))
@@ -213,6 +220,18 @@ def _of_gravity(experiment: Experiment) -> Iterator[Made]:
         vectors[f"stated to be tilted by {angle:.0f} degrees"] = turn @ experiment.robot.gravity
     for kind, vector in vectors.items():
         yield Made(kind, replace(experiment, robot=replace(experiment.robot, gravity=vector)), named)
+
+
+def _of_zeros(experiment: Experiment) -> Iterator[Made]:
+    """Zeros a quarter turn off, to the side on which the joint's limits are further away: of joint 2, and of joint 4 as well."""
+    positions = np.concatenate([m.table.positions for m in experiment.motions])
+    side = -np.sign(positions.max(axis=0) + positions.min(axis=0) + 1e-9)
+    for which in ((1,), (1, 3)):
+        if which[-1] < experiment.robot.n and not experiment.robot.prismatic[list(which)].any():
+            angles = np.where(np.isin(np.arange(experiment.robot.n), which), 0.5 * np.pi * side, 0.0)
+            kind = "zero of one joint a quarter turn off" if len(which) == 1 else "zeros of two joints a quarter turn off"
+            named = ("position_zero" if len(which) == 1 else "position_zeros", ",".join(f"q{j + 1}" for j in which))
+            yield Made(kind, changed(experiment, turned(angles)), (named,))
 
 
 def _of_wrench(experiment: Experiment) -> Iterator[Made]:

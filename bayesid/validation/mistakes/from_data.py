@@ -126,19 +126,20 @@ def other_zeros(explainer: Explainer, worth: float, needed: float) -> list[Candi
     found: list[Candidate] = []
 
     def score(angles: tuple[float, ...], floor: np.ndarray) -> float:
-        fits = explainer.fit(Change(zeros=np.array(angles)) if any(angles) else Change())
-        return max(fit.score(worth, floor) for fit in fits)
+        return max(fit.score(worth, floor) for fit in explainer.fit(Change(zeros=np.array(angles))))
 
+    floor = explainer.floor
     for count in range(robot.n):
-        floor = explainer.floor if count == 0 else EXPLAINED * explainer.variation
+        now = score(turned, floor)
         free = [j for j in range(robot.n) if not robot.prismatic[j] and turned[j] == 0.0]
         steps = [(*turned[:j], turn, *turned[j + 1 :]) for j in free for turn in turns]
-        scores = [score(angles, floor) for angles in steps]
         if count == 0:
             found = [zeros(names, angles) for angles in steps]
-        if not steps or max(scores) - score(turned, floor) < needed:
+            steps = [a for a in steps if explainer.highest_score(Change(zeros=np.array(a)), worth) - now > needed]
+        scores = [score(angles, floor) for angles in steps]
+        if max(scores, default=now) - now < needed:
             break
-        turned = steps[int(np.argmax(scores))]
+        turned, floor = steps[int(np.argmax(scores))], EXPLAINED * explainer.variation
         odds = -count * log(len(turns) * robot.n)
         found = [replace(zeros(names, turned), odds=odds), *(c for c in found if not _begins(c, turned))]
     return found
