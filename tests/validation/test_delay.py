@@ -12,7 +12,7 @@ import pytest
 import bayesid
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment
 from bayesid.recordings.table import Table
-from bayesid.validation.mistakes.delay import delay_profile, delayed
+from bayesid.validation.mistakes.delay import Profile, delay_profile, delayed
 from tests.malformed import DATA, FOLDERS
 from tests.simulated import experiment, fourier, puma2, recording
 
@@ -55,6 +55,48 @@ def test_a_delay_is_found_with_its_sign_and_size(channel: str, field: str, delay
     assert abs(size - 1e3 * abs(delay)) < max(5.0 * std, 1.0) and abs(1e3 * back - size) < 1.0
     assert found.text.startswith("The positions (q) are" if delay < 0.0 else ("The joint torques", "The wrench"))
     assert max(found.after) < max(found.before)
+
+
+def profile(*delays: float, worth: float = 100.0) -> Profile:
+    """Of channels that are late by different times: a parabola each, which is twice the noise 0.1 s away."""
+    tried = 0.01 * np.arange(-50, 51)
+    power = np.array([1.0 + ((tried - delay) / 0.1) ** 2 for delay in delays])
+    left = np.sqrt(power)
+    likelihood = -np.log(left).sum(axis=0)
+    parts = np.repeat(power[:, None] / power[:, [np.argmax(likelihood)]][:, None] / 8, 8, axis=1)
+    return Profile(tried, left, likelihood - likelihood[50], worth, parts)
+
+
+def test_the_interval_of_a_delay_counts_how_far_channels_disagree() -> None:
+    one = profile(0.02, 0.02, 0.02, 0.02).best()
+    assert one is not None and one[0] == pytest.approx(0.02, abs=1e-3)
+    assert one[1] == pytest.approx(0.1 / np.sqrt(100 * 4), rel=0.1)  # by the curvature of four channels alone
+    several = np.array([0.0, 0.01, 0.03, 0.04])
+    scattered = profile(*several).best()
+    assert scattered is not None and scattered[0] == pytest.approx(0.02, abs=2e-3)
+    # Alike channels: the standard error of the mean of their own delays.
+    assert scattered[1] == pytest.approx(several.std(ddof=1) / 2.0, rel=0.3)
+
+
+def test_a_second_delay_that_is_as_likely_widens_the_interval() -> None:
+    tried = profile(0.1)
+    gained = np.maximum(tried.gained, profile(0.3).gained + tried.gained.max() - profile(0.3).gained.max() - 1e-4)
+    two = replace(tried, gained=gained).best()
+    assert two is not None and two[0] == pytest.approx(0.1, abs=1e-3)
+    assert two[1] == pytest.approx(0.2 / np.sqrt(2.0), rel=0.1)  # half of the odds are 0.2 s away
+
+
+def test_torques_of_which_one_alone_is_late_give_no_delay_of_all(arm: Experiment) -> None:
+    """Both as late as each other are; one of two is not."""
+
+    def one_late(table: Table) -> Table:
+        moved = later(table, 0.06, "torques").torques
+        assert moved is not None and table.torques is not None
+        return replace(table, torques=np.column_stack([table.torques[:, 0], moved[:, 1]]))
+
+    motions = tuple(replace(m, table=one_late(m.table), examined=False) for m in arm.motions)
+    assert delayed(shifted(arm, 0.06, "torques"), "torque") is not None
+    assert delayed(replace(arm, motions=motions, warnings=(), findings=()), "torque") is None
 
 
 @pytest.mark.parametrize("channel", ["torque", "wrench"])

@@ -29,7 +29,7 @@ from bayesid.validation.mistakes.samples import low_passed
 from bayesid.validation.mistakes.search import find_mistakes
 from tests.robots import ROBOTS, lwr4, ur5, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
-from tests.studies.mistakes import Made, changed, made, magnitudes, times
+from tests.studies.mistakes import Made, changed, made, magnitudes, times, turned
 
 
 def arm(folder: Path, masses: bool = True, seed: int = 0) -> Experiment:
@@ -318,6 +318,61 @@ def test_what_is_not_known_here_gets_no_remedy(tmp_path: Path) -> None:
     assert find_mistakes(torques)[0].name == "torque_sign"
     listed = {("torque_sign", "tau2"), ("position_sign", "q2"), ("torque_scales", "")}
     assert all(m.name == "not_explained" for m in find_mistakes(torques, listed))
+
+
+@pytest.mark.parametrize("quarters", [(0, -1, 0, -1, 0, 0), (0, -1, 0, 0, 1, 0), (0, 0, 2, 0, 0, 0)])
+def test_zeros_of_several_joints_are_found_together(quarters: tuple[int, ...], tmp_path: Path) -> None:
+    """As angles of Denavit and Hartenberg beside a URDF; what is found is what must be added, and nothing is wrong then."""
+    added = 0.5 * np.pi * np.array(quarters)
+    recorded = changed(arm(tmp_path), turned(-added))
+    (found,) = find_mistakes(recorded)
+    assert found.name == ("position_zeros" if np.count_nonzero(added) > 1 else "position_zero")
+    told = {int(j): float(angle) for angle, j in re.findall(r"([+-][\d.]+) rad \([+-]\d+ degrees\) to q(\d)", found.text)}
+    assert told == {j + 1: pytest.approx(angle, abs=1e-4) for j, angle in enumerate(added) if angle}
+    corrected = np.array([told.get(j + 1, 0.0) for j in range(6)])
+    assert find_mistakes(changed(recorded, turned(corrected))) == ()
+
+
+def test_what_mends_little_of_what_is_wrong_is_not_accused(tmp_path: Path) -> None:
+    """Readings without a mistake, most of whose variation no robot explains: a better fit of the rest accuses nobody."""
+    whole = arm(tmp_path)
+    samples = low_passed(whole, "torque")
+    assert samples is not None
+    # Something that no rigid robot does, as large as what gravity and inertia do, in joints 1 to 3.
+    clock = np.linspace(0.0, 40.0, len(samples))[:, None]
+    other = samples.readings.std(axis=0) * np.sin(
+        clock * [1.0, 1.3, 1.7, 0.0, 0.0, 0.0] + 5.0 * samples.positions[:, [2, 0, 1] * 2]
+    )
+    wrong = {"tau5": np.diag([1.0, 1, 1, 1, -1, 1]), "": np.eye(6)}
+    for where, matrix in wrong.items():
+        mixed = replace(samples, readings=(samples.readings + other * [1, 1, 1, 0, 0, 0]) @ matrix)
+        explainer = Explainer(whole.robot, torque_channels(whole.robot), mixed)
+        worth = independent_samples(explainer.fit()[0].residual, mixed.part)
+        mended = {(c.name, c.where) for c in candidates(whole, "torque", mixed) if explainer.mended(c.change, worth, 5.0)}
+        assert mended <= {("torque_sign", "tau5"), ("position_sign", "q5")}
+        assert (("torque_sign", where) in mended) == bool(where)
+
+
+def test_a_robot_is_judged_by_what_it_was_not_fitted_to(tmp_path: Path) -> None:
+    """Every quarter is predicted by fits to the other three: what is left of noise is no less than the noise."""
+    whole = arm(tmp_path)
+    samples = low_passed(whole, "torque")
+    assert samples is not None
+    assert (np.bincount(samples.quarter) >= len(samples) // 4).all() and (np.diff(samples.quarter) >= 0).all()
+    noise = np.random.default_rng(0).normal(size=samples.readings.shape)
+    explainer = Explainer(whole.robot, torque_channels(whole.robot), replace(samples, readings=noise))
+    fitted, foretold = explainer.fit()[0].left, explainer.left_out()[0]
+    assert (foretold > fitted).all() and (foretold > 0.99 * noise.std(axis=0)).all()
+
+
+def test_a_counterbalance_is_no_mistake_of_the_recording(tmp_path: Path) -> None:
+    """Weight that is not in one torque: by a controller, or by a part of the robot, in which case nothing is to be added."""
+    whole = arm(tmp_path)
+    lighter = next(one.experiment for one in made(whole) if ("gravity_removed", "tau2") in one.named)
+    (found,) = find_mistakes(lighter)
+    assert {("gravity_removed", "tau2"), ("gravity_removed", "tau2 nominal")} == {(found.name, found.where), *found.alternatives}
+    assert "counterbalance is part of the robot: add spring@joint2 to [model] effects" in found.text
+    assert "and change no torque" in found.text and "if a controller does that" in found.text
 
 
 def test_torques_of_some_joints_are_looked_at_as_well(tmp_path: Path) -> None:

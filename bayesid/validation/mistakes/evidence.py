@@ -61,17 +61,12 @@ class RobotFit:
     parameters: np.ndarray  # those of all bodies, ten each, then friction and offsets (p,)
     residual: np.ndarray  # what is left of the readings as recorded (N, c) [unit of the column]
     left: np.ndarray  # its rms (c,)
-    floor: np.ndarray  # residuals that are no evidence (c,)
+    log_likelihood: float  # of one sample, with the noise of every column profiled out
     count: int  # how many numbers the data as they are needed for the same bodies, and those of the change
-
-    @property
-    def log_likelihood(self) -> float:
-        """Of one sample, with the noise of every column profiled out [nats]."""
-        return log_likelihood(self.left, self.floor)
 
     def score(self, worth: float, floor: np.ndarray | None = None) -> float:
         """Log evidence (Bayesian information criterion) of so many independent samples; other floors may be given [nats]."""
-        return _score(log_likelihood(self.left, self.floor if floor is None else floor), self.count, worth)
+        return _score(self.log_likelihood if floor is None else _log_likelihood(self.left, floor), self.count, worth)
 
 
 class Explainer:
@@ -120,7 +115,9 @@ class Explainer:
             residual = target - columns @ parameters
             if k == len(self._counts):
                 self._counts.append(count)
-            fits.append(RobotFit(k, parameters, residual, _rms(residual), self.floor, self._counts[k] + change.numbers))
+            left = _rms(residual)
+            count = self._counts[k] + change.numbers
+            fits.append(RobotFit(k, parameters, residual, left, self._log_likelihood(left), count))
         return fits
 
     def _possible(self, change: Change) -> range:
@@ -158,31 +155,28 @@ class Explainer:
         """`left_out` of the data as recorded."""
         return self.left_out()
 
-    def foretelling(self, change: Change, worth: float, needed: float) -> dict[int, np.ndarray]:
-        """`left_out` of changed data, of families that make those parts more probable than any does as recorded.
+    def mended(self, change: Change, worth: float, needed: float) -> bool | None:
+        """Whether data with a mistake undone are explained; None where they are no more probable than as recorded.
 
-        By ``needed`` [nats], for ``worth`` independent samples.
+        In parts that were not fitted a family of robots makes them more probable than any makes the data as recorded, by
+        ``needed`` [nats] for ``worth`` independent samples. From what this family leaves of the data as recorded to what it
+        leaves then it is half of the way, in nats, to the least that could be left. Columns count by what undoing the mistake
+        changes in them: of what the robot lets be read beside what is left, or of what is left. And of the columns of each kind
+        that it changes, a quarter of the power is left at most.
         """
         known = max(map(self._log_likelihood, self.unmended.values()))
-        return {k: e for k, e in self.left_out(change).items() if worth * (self._log_likelihood(e) - known) > needed}
+        left = {k: e for k, e in self.left_out(change).items() if worth * (self._log_likelihood(e) - known) > needed}
+        return any(self._mends(change, fit, left[fit.family]) for fit in self.fit(change) if fit.family in left) if left else None
 
-    def mends(self, change: Change, here: np.ndarray, family: int) -> bool:
-        """Whether data with a mistake undone are explained, and not only a little more probable.
-
-        From what a family of robots leaves of the data as recorded in parts that were not fitted to what it leaves ``here`` (c,)
-        it is half of the way, in nats, to the least that could be left. Columns count by what undoing it changes in them: of what
-        the fitted robot lets be read beside what is left, or of what is left. And of each kind of reading that it changes, a
-        quarter of the power is left at most.
-        """
-        here, there = (np.maximum(left, self.floor) for left in (here, self.unmended[family]))
+    def _mends(self, change: Change, fit: RobotFit, left: np.ndarray) -> bool:
+        here, there = np.maximum(left, self.floor), np.maximum(self.unmended[fit.family], self.floor)
         least = np.minimum(self._least(change), self._least(AS_RECORDED)) if self.torque else self.floor
         gained, way = np.log(there / here), np.log(there / np.minimum(np.maximum(least, self.floor), there))
-        fit = next(fit for fit in self.fit(change) if fit.family == family)
         made = self._as_recorded(change)[0] - self._design(AS_RECORDED).columns
         moved = (made @ fit.parameters - self._target(change) + self.samples.readings).std(axis=0)
         weights = np.maximum(np.log(np.maximum(moved, here) / here), np.abs(gained))
         units, changed = np.array(self.channels.units), np.maximum(moved, np.abs(there - here)) > here
-        kinds = [units == unit for unit in set(units[changed])]
+        kinds = [changed & (units == unit) for unit in set(units)]
         explained = all(np.sum(here[kind] ** 2) <= UNEXPLAINED * np.sum(self.variation[kind] ** 2) for kind in kinds)
         return explained and bool(weights @ gained > 0.5 * weights @ way)
 
@@ -326,7 +320,8 @@ class Explainer:
         return self._designs[key]
 
     def _log_likelihood(self, left: np.ndarray) -> float:
-        return log_likelihood(left, self.floor)
+        """Of one sample, by what is left of each column (c,)."""
+        return _log_likelihood(left, self.floor)
 
 
 def independent_samples(residual: np.ndarray, part: np.ndarray) -> float:
@@ -392,11 +387,10 @@ def _non_negative(squares: np.ndarray, products: np.ndarray, ridge: float) -> np
     return out
 
 
-def log_likelihood(left: np.ndarray, floor: np.ndarray) -> float:
-    """Of one sample, by what is left of each column and the least that counts (c,)."""
+def _log_likelihood(left: np.ndarray, floor: np.ndarray) -> float:
     return -float(np.log(np.maximum(left, floor)).sum())
 
 
-def _score(likelihood: float, count: int, worth: float) -> float:
+def _score(log_likelihood: float, count: int, worth: float) -> float:
     """By the Bayesian information criterion [nats]."""
-    return worth * likelihood - 0.5 * count * float(np.log(max(worth, 2.0)))
+    return worth * log_likelihood - 0.5 * count * float(np.log(max(worth, 2.0)))

@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from bayesid.dynamics.regressors import Kernel
 from bayesid.validation.mistakes.candidates import Candidate, along, order, zeros
-from bayesid.validation.mistakes.evidence import EXPLAINED, WORSE, Change, Explainer, RobotFit
+from bayesid.validation.mistakes.evidence import EXPLAINED, UNEXPLAINED, WORSE, Change, Explainer, RobotFit
 
 _Order = tuple[int, ...]
 #: Log odds of a second mistake of its own [nats]: one in a thousand.
@@ -113,39 +113,36 @@ def _assigned(costs: np.ndarray, usual: _Order, free: Sequence[int]) -> _Order:
     return tuple(out)
 
 
-def other_zeros(explainer: Explainer, worth: float, needed: float) -> list[Candidate]:
+def other_zeros(explainer: Explainer, worth: float, needed: float, further: float) -> list[Candidate]:
     """Zeros that are a quarter or half a turn off, as those of Denavit and Hartenberg's angles are beside a URDF's.
 
-    One joint after the other is turned, the one that gains most first, as long as each gains ``needed`` [nats]: as much as a
-    mistake of its own. Where one joint counts from such a zero, others are likely to, so that from the second on a column's
-    residual counts down to its own floor, however small the column is beside others: that is where a wrist's zero shows.
+    One joint after the other is turned, the one that gains most first; the first must gain what is ``needed`` [nats]. Where one
+    joint counts from such a zero, others are likely to: each ``further`` one must gain that much, and the residual of a column
+    most of which is trusted counts down to its own floor, however small it is beside others: there a wrist's zero shows.
     """
     robot, names = explainer.robot, explainer.robot.joint_names
-    turns = (-0.5 * np.pi, 0.5 * np.pi, np.pi)
-    turned: tuple[float, ...] = (0.0,) * robot.n
+    trusted = explainer.floor**2 <= UNEXPLAINED * explainer.variation**2
+    own = np.where(trusted, EXPLAINED, 1.0) * explainer.variation
+    turns = [(j, turn) for j in np.flatnonzero(~robot.prismatic) for turn in (-0.5 * np.pi, 0.5 * np.pi, np.pi)]
     found: list[Candidate] = []
-
-    def score(angles: tuple[float, ...], floor: np.ndarray) -> float:
-        return max(fit.score(worth, floor) for fit in explainer.fit(Change(zeros=np.array(angles))))
-
-    floor = explainer.floor
+    angles, units, floor = np.zeros(robot.n), np.eye(robot.n), explainer.floor
     for count in range(robot.n):
-        now = score(turned, floor)
-        free = [j for j in range(robot.n) if not robot.prismatic[j] and turned[j] == 0.0]
-        steps = [(*turned[:j], turn, *turned[j + 1 :]) for j in free for turn in turns]
+        now = max(fit.score(worth, floor) for fit in explainer.fit(Change(zeros=angles)))
+        changes = [Change(zeros=angles + turn * units[j]) for j, turn in turns if angles[j] == 0.0]
         if count == 0:
-            found = [zeros(names, angles) for angles in steps]
-            steps = [a for a in steps if explainer.highest_score(Change(zeros=np.array(a)), worth) - now > needed]
-        scores = [score(angles, floor) for angles in steps]
-        if max(scores, default=now) - now < needed:
+            found = [zeros(names, turn * units[j]) for j, turn in turns]
+            changes = [c for c in changes if explainer.highest_score(c, worth) - now > needed]
+        scores = [max(fit.score(worth, floor) for fit in explainer.fit(c)) - now for c in changes]
+        if max(scores, default=0.0) < (further if count else needed):
             break
-        turned, floor = steps[int(np.argmax(scores))], EXPLAINED * explainer.variation
-        odds = -count * log(len(turns) * robot.n)
-        found = [replace(zeros(names, turned), odds=odds), *(c for c in found if not _begins(c, turned))]
+        likeliest = changes[int(np.argmax(scores))].zeros
+        assert likeliest is not None
+        angles, floor = likeliest, own
+        found = [replace(zeros(names, angles), odds=-count * log(len(turns))), *(c for c in found if not _begins(c, angles))]
     return found
 
 
-def _begins(candidate: Candidate, turned: Sequence[float]) -> bool:
+def _begins(candidate: Candidate, turned: np.ndarray) -> bool:
     """Whether all that a candidate turns is turned so."""
     own = candidate.change.zeros
     return own is not None and bool(((own == 0.0) | (own == turned)).all())

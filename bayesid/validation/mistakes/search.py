@@ -253,11 +253,11 @@ def _named(experiment: Experiment, search: MistakeSearch) -> list[Mistake]:
     alike = [t for t in search.tried if t.evidence > max(best.evidence - ALIKE, NEEDED)]
     # What was made to suit the data is said where nothing else suits them as well.
     alike = [t for t in alike if not t.candidate.change.numbers] or alike
-    foretold = [(t, explainer.foretelling(t.candidate.change, search.worth, ALIKE)) for t in alike]
-    remedies = [t for t, left in foretold if any(explainer.mends(t.candidate.change, here, k) for k, here in left.items())]
+    mended = [explainer.mended(t.candidate.change, search.worth, ALIKE) for t in alike]
+    remedies = [t for t, is_mended in zip(alike, mended, strict=True) if is_mended]
     if not remedies:
         unexplained = (search.null.left**2 > UNEXPLAINED * explainer.variation**2).any()
-        return [not_explained(explainer, search.null, best.fit)] if unexplained and any(left for _, left in foretold) else []
+        return [not_explained(explainer, search.null, best.fit)] if unexplained and False in mended else []
     found = worded(experiment, explainer, search.null, [(t.candidate, t.fit) for t in remedies], remedies[0].evidence)
     change = remedies[0].candidate.change
     return [found, *(implausible_size(explainer, change) if found.name in _SIGNS else [])]
@@ -278,7 +278,7 @@ def searched(
     if search.worth_going_on:
         search.try_out(known(orders(explainer, search.doubted)))
     if search.worth_going_on:
-        search.try_out(known(other_zeros(explainer, search.worth, search.needed)))
+        search.try_out(known(other_zeros(explainer, search.worth, search.needed, NEEDED)))
     if search.worth_going_on and explainer.torque:
         search.try_out(known(by_joint(explainer, search.worth)))
     if search.worth_going_on:
