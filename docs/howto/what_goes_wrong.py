@@ -26,6 +26,7 @@ from tests.newcomers import files
 
 PAGE = Path(__file__).resolve().parent / "what-goes-wrong.md"
 _FRICTION = "--channel torque --effects viscous_friction,coulomb_friction"
+_ZEROS = np.array([0, 1, 0, 1, 0, 0])
 _HEAD = """# What goes wrong, and what it looks like
 
 Every mistake on this page was made on purpose by `docs/howto/what_goes_wrong.py`, on a simulated UR5 with a sensor under its
@@ -171,6 +172,12 @@ ROWS = {
             "One torque has the other sign",
             "Change the sign of that column",
             torques(lambda tau: tau * [1, 1, -1, 1, 1, 1]),
+        ),
+        Row(
+            "Hardly any joint fits",
+            "Joints 2 and 4 count from the zeros of Denavit and Hartenberg's angles",
+            "Add the angle to the columns, or turn the joints' origins in the URDF",
+            lambda e: torques(lambda tau: tau)(tables(e, lambda t: replace(t, positions=t.positions + np.pi / 2 * _ZEROS))),
         ),
         Row(
             "Several joints do not fit",

@@ -196,7 +196,7 @@ def order(names: Sequence[str], positions: Sequence[int], torques: Sequence[int]
     return Candidate("column_order", where, says, "reorder the columns q and tau", change, moved)
 
 
-def zeros(names: Sequence[str], angles: Sequence[float]) -> Candidate:
+def zeros(names: Sequence[str], angles: np.ndarray) -> Candidate:
     """Positions that count from another zero than the URDF's: what must be added to each (n,) [rad]."""
     which = [j for j, angle in enumerate(angles) if angle != 0.0]
     several, owners = ("s" if len(which) > 1 else ""), in_words([names[j] for j in which])
@@ -204,7 +204,7 @@ def zeros(names: Sequence[str], angles: Sequence[float]) -> Candidate:
     says = f"{owners} seem{'' if several else 's'} to count from {'other zeros' if several else 'another zero'} than the URDF"
     return Candidate(
         name=f"position_zero{several}", where=",".join(f"q{j + 1}" for j in which), says=says,
-        remedy=f"add {added}, or turn the zero{several} in the URDF", change=Change(zeros=np.array(angles, dtype=float)),
+        remedy=f"add {added}, or turn the zero{several} in the URDF", change=Change(zeros=angles),
     )  # fmt: skip
 
 
