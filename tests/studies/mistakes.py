@@ -223,11 +223,14 @@ def _of_gravity(experiment: Experiment) -> Iterator[Made]:
 
 
 def _of_zeros(experiment: Experiment) -> Iterator[Made]:
-    """Zeros a quarter turn off, to the side on which the joint's limits are further away: of joint 2, and of joint 4 as well."""
+    """Zeros a quarter turn off, to the side on which the joint's limits are further away: of joint 2, and of joint 4 as well.
+
+    Where joints follow: turned about the last joint's axis, its body is another one.
+    """
     positions = np.concatenate([m.table.positions for m in experiment.motions])
     side = -np.sign(positions.max(axis=0) + positions.min(axis=0) + 1e-9)
     for which in ((1,), (1, 3)):
-        if which[-1] < experiment.robot.n and not experiment.robot.prismatic[list(which)].any():
+        if which[-1] < experiment.robot.n - 1 and not experiment.robot.prismatic[list(which)].any():
             angles = np.where(np.isin(np.arange(experiment.robot.n), which), 0.5 * np.pi * side, 0.0)
             kind = "zero of one joint a quarter turn off" if len(which) == 1 else "zeros of two joints a quarter turn off"
             named = ("position_zero" if len(which) == 1 else "position_zeros", ",".join(f"q{j + 1}" for j in which))
