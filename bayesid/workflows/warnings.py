@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from bayesid.arguments import argument, call
+from bayesid.effects import Effect
 from bayesid.estimators import Estimate
 from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.recordings.complaints import listed
@@ -191,7 +192,8 @@ def impossible_signs(estimate: Estimate, problem: Problem) -> list[str]:
         each = (f"{names[k]} = {estimate.solution[k]:.3g} +- {estimate.full_std[k]:.2g} {powers(units[k])}" for k in which)
         return listed(each, 4)
 
-    denied = np.append(np.zeros(rank, bool), _signs_right(estimate, problem)) & never
+    owners = problem.row_model.of_free(e for e in problem.row_model.effects for _ in e.parameters)
+    denied = np.append(np.zeros(rank, bool), _signs_right(owners, estimate.solution[rank:])) & never
     out, blamed = [], np.flatnonzero(never & ~denied)
     if len(blamed):
         kind = "Mass" if blamed[0] < rank else "Friction"
@@ -200,21 +202,20 @@ def impossible_signs(estimate: Estimate, problem: Problem) -> list[str]:
             "the motions show it at all."
         )
     if denied.any():
+        friction = any(owners[k - rank].urdf_dynamics is not None for k in np.flatnonzero(denied))
+        falls = "friction may fall with speed (Stribeck) or follow the load, or " if friction else ""
         out.append(
             f"What cannot be negative is, beside friction of the same joint that is positive: {shown(np.flatnonzero(denied))}. "
-            "So the torques' sign is not to blame: friction may fall with speed (Stribeck) or follow the load, or this bandwidth "
-            f"and these speeds do not tell it from other parameters. `{call('diagnose')}` looks for it; compare with another "
-            f"{argument('bandwidth')}."
+            f"So the torques' sign is not to blame: {falls}this bandwidth and these speeds do not tell it from other parameters. "
+            f"`{call('diagnose')}` looks for what is missing; compare with another {argument('bandwidth')}."
         )
     return out
 
 
-def _signs_right(estimate: Estimate, problem: Problem) -> np.ndarray:
+def _signs_right(owners: Sequence[Effect], values: np.ndarray) -> np.ndarray:
     """Whether other friction of the joint that an effect's parameter acts at is positive, so that its torque's sign is right."""
-    model, values = problem.row_model, estimate.solution[estimate.base.rank :]
-    owners = model.of_free(e for e in model.effects for _ in e.parameters)
-    dry = [(e, value) for e, value in zip(owners, values, strict=True) if e.urdf_dynamics is not None]
-    return np.array([any(e is not o and e.joint == o.joint and value > 0.0 for e, value in dry) for o in owners], bool)
+    friction = [(e, value) for e, value in zip(owners, values, strict=True) if e.urdf_dynamics is not None]
+    return np.array([any(e is not o and e.joint == o.joint and value > 0.0 for e, value in friction) for o in owners], bool)
 
 
 def not_settled(problem: Problem, estimate: Estimate) -> list[str]:
