@@ -122,7 +122,7 @@ def _in_part(search: Search, reason: Reason) -> list[str]:
         "denied": "the validation motions are not for certain predicted better with them",
         "": "the search by log evidence alone ended at other effects, which leave more",
     }.get(reason)
-    still = ", although what stays is no more than the noise" if data.floor_known else ""
+    still = ", although what stays is no more than the noise of sensor and encoders explains" if data.floor_known else ""
     return [f"Named in part{still}: {why}."] if why else []
 
 
