@@ -302,9 +302,11 @@ def _since(asked: _Asked, before: Experiment, joint: str | None) -> _Found:
     if not named:
         what = f"what changed is {', '.join(e.spec for e in others)}" if others else "nothing that changed is named"
         what += "".join(f"; if that is the payload: {argument('joint', e.where)}" for e in others if e.name == "payload")
+        needed = number(found.settings.accept, 3)
+        why = f"needed {needed}" if evidence < found.settings.accept else "but parts held out in turn deny it"
         warnings.append(
-            f"The comparison does not name a payload at {here} (log evidence {number(evidence, 3)}, needed "
-            f"{number(found.settings.accept, 3)}): {what}. The intervals tell which payload these recordings would not show."
+            f"The comparison does not name a payload at {here} (log evidence {number(evidence, 3)}, {why}): {what}. "
+            "The intervals tell which payload these recordings would not show."
         )
     if stands_for is not None:
         accepted, form, _ = stands_for

@@ -14,6 +14,7 @@ import pytest
 
 import bayesid
 from bayesid.cli import main
+from bayesid.diagnosis.changes import findings
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.recordings.experiment import Sensor
 from bayesid.robot import inertia
@@ -278,6 +279,14 @@ def test_a_payload_that_may_hang_at_either_joint_is_told_alike_from_both(crossed
     assert one.evidence < other.evidence
     apart = bayesid.payload(loaded, reference=before, joint="yaw", settings=replace(DEFAULT, rival=0.0))
     assert any("does not name a payload at joint1" in w and 'if that is the payload: joint="joint2"' in w for w in apart.warnings)
+
+
+def test_a_payload_that_held_out_parts_deny_is_not_said_to_lack_evidence(crossed, monkeypatch):
+    loaded, before, _ = crossed
+    monkeypatch.setattr(findings, "confirmed", lambda *_: ())
+    result = bayesid.payload(loaded, reference=before)
+    assert result.evidence > DEFAULT.accept and "but parts held out in turn deny it" in result.warnings[0]
+    assert "needed" not in result.warnings[0]
 
 
 @pytest.mark.parametrize("trust", [0.0, 0.05])
