@@ -85,7 +85,8 @@ class Band:
         """Plain values, as in ``bounds.json``; the band itself is in ``bounds.mat``."""
         return {
             "channels": list(self.names), "units": list(self.units), "samples": len(self.values),
-            "simultaneous_factor": self.factor, "extrapolation": self.extrapolation.tolist(),
+            "pointwise_factor": HALF, "simultaneous_factor": self.factor,
+            "extrapolation": self.extrapolation.tolist(),
             "largest_value": np.abs(self.values).max(axis=0).tolist(),
             "mean_pointwise_half_width": self.pointwise_half_width.mean(axis=0).tolist(),
             "mean_simultaneous_half_width": self.half_width.mean(axis=0).tolist(),
