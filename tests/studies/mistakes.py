@@ -351,14 +351,14 @@ def rows(results: dict[str, Any]) -> list[str]:
 
 TEMPLATE = """# Mistakes made on purpose
 
-What `bayesid check` says when signs, orders, units and frames are wrong: each mistake is made on every recording at hand, one
-at a time, by `python -m tests.studies.mistakes`. How a mistake is found stands in
+What `bayesid check` says when signs, orders, units, zeros and frames are wrong: each mistake is made on every recording at hand,
+one at a time, by `python -m tests.studies.mistakes`. How a mistake is found stands in
 [method.md](../../explanation/method.md#mistakes).
 
 *Named*: the mistake is what is said, or among what is said to be as likely, or the recording is refused with a line that names
 it. *Other*: another mistake is said. *Silent*: nothing is said.
 
-On {{ real }} recordings of real robots {{ plain.made }} mistakes of sign, order, unit and frame are made: {{ plain.named }}
+On {{ real }} recordings of real robots {{ plain.made }} mistakes of sign, order, unit, zero and frame are made: {{ plain.named }}
 are named ({{ plain.share }} %), {{ plain.other }} are taken for another and {{ plain.silent }} pass in silence. With joints
 whose axis is reversed, which may be a mirrored robot, {{ whole.named }} of {{ whole.made }} ({{ whole.share }} %). Of the
 recordings as they are, {{ alarms }} real and {{ practice_alarms }} simulated ones raise an alarm.
@@ -379,7 +379,8 @@ Simulated recordings (`practice`) are small and clean. Seconds: processor time o
 
 What stays silent is mostly small: a wrist joint that carries little has torques below a hundredth of the shoulder's, and nothing
 is concluded from readings that small. A joint whose axis is reversed, in position and torque alike, is a mirrored robot where no
-link beyond shows the difference; two wrist joints that are exchanged may be another wrist.
+link beyond shows the difference; two wrist joints that are exchanged may be another wrist. And where a recording shows too
+little for parts of it to be predicted from the others, as `ur10e/after-load`, no mistake is made out.
 """
 
 
