@@ -27,6 +27,8 @@ def hausman(difference: np.ndarray, covariance: np.ndarray, size: np.ndarray | f
     of their covariances, for independent estimates the sum. ``size`` (p,) holds units in which all entries of d are alike;
     directions in which C, in these, is not larger than ``smallest`` say nothing and are left out.
     """
+    if not len(difference):
+        return ChiSquared(0.0, 0, 1.0, 0.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     keep = values > smallest
     z = vectors.T[keep] @ (difference / size) / np.sqrt(values[keep])

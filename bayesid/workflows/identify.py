@@ -132,7 +132,7 @@ def identify(
         check = against_nominal(problem.regression, estimate)
         signs = impossible_signs(estimate, problem)
         mistakes = mistaken(problem, validation, bool(signs))
-        of_rotors = missing_rotors(problem, method, options, links, bool(mistakes))
+        of_rotors = missing_rotors(problem, estimate, method, options, links, bool(mistakes))
     wrong = [*mistakes, *signs]
     of_links = [*(of_rotors if links.usable else []), *links.warnings()]
     no_use = (*unusable(problem, validation, mistakes), *(() if links.usable else of_rotors))

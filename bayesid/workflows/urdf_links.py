@@ -46,13 +46,14 @@ def urdf_links(problem: Problem, estimate: Estimate) -> UrdfLinks:
 
 
 def missing_rotors(
-    problem: Problem, method: Estimator, options: FitOptions, links: UrdfLinks, mistaken: bool = False
+    problem: Problem, estimate: Estimate, method: Estimator, options: FitOptions, links: UrdfLinks, mistaken: bool = False
 ) -> list[str]:
     """That links are as heavy as no arm of this URDF is, or cannot exist, and whether rotor inertias in the model repair it.
 
     Joint torques hardly show masses. Where the links must be far from the stated ones all the same, they stand for inertia that
-    no link has, as a rule that of the drives' rotors, which acts about each joint's axis alone. It is tried, unless a mistake in
-    the data is known that has to be undone first (``mistaken``).
+    no link has, as a rule that of the drives' rotors, which acts about each joint's axis alone. It is tried there, and where the
+    model is incomplete, to see whether it is complete then; unless a mistake in the data is known that has to be undone first
+    (``mistaken``).
     """
     robot = problem.experiment.robot
     if problem.channel != "torque" or not states_masses(robot):
@@ -63,7 +64,8 @@ def missing_rotors(
         return these.moved is not None and not these.moved.inside
 
     found = links.links[::10]
-    if links.usable and not impossible(links):
+    possible = links.usable and not impossible(links)
+    if possible and estimate.details.model_complete is not False:
         return []
     k = int(np.argmax(np.abs(found - stated)))
     said = (
@@ -74,27 +76,28 @@ def missing_rotors(
     if mistaken:
         return [] if links.usable else [f"{said}Undo the mistake that is named below, then fit again: do not rely on these."]
     effects = [effect.spec for effect in problem.row_model.effects]
-    repaired = None
+    repaired, complete = None, False
     if not any(spec.startswith(_ROTORS) for spec in effects):
-        repaired = _links_with(problem, method, replace(options, effects=[*effects, _ROTORS]))
-    if repaired is None or not repaired.usable or impossible(repaired):
+        repaired, complete = _links_with(problem, method, replace(options, effects=[*effects, _ROTORS]))
+    if repaired is None or not repaired.usable or impossible(repaired) or (possible and not complete):
         lacks = "The model lacks something that acts like inertia, or the URDF's masses are wrong: do not rely on these."
         return [] if links.usable else [said + lacks]
     motion, (before, _) = next(iter(links.errors.items()))
+    then = "nothing else is missing in it" if possible else f"the links of identified.urdf can exist, with {repaired.mass:.3g} kg"
     return [
-        f"{'' if links.usable else said}With {_ROTORS} in the model the links of identified.urdf can exist, with "
-        f"{repaired.mass:.3g} kg, and the error of '{motion}' goes from {100 * before:.3g} to "
-        f"{100 * repaired.errors[motion][0]:.3g} %: the rotors of the drives seem to be missing. "
+        f"{'' if links.usable else said}With {_ROTORS} in the model {then}, and the error of '{motion}' goes from "
+        f"{100 * before:.3g} to {100 * repaired.errors[motion][0]:.3g} %: the rotors of the drives seem to be missing. "
         f"Add {_ROTORS} to [model] effects."
     ]
 
 
-def _links_with(problem: Problem, method: Estimator, options: FitOptions) -> UrdfLinks | None:
-    """The links of the same fit with other effects; None where that cannot be fitted."""
+def _links_with(problem: Problem, method: Estimator, options: FitOptions) -> tuple[UrdfLinks | None, bool]:
+    """The links of the same fit with other effects, None where that cannot be fitted, and whether the model is complete."""
     try:
-        return urdf_links(*solve(prepare(problem.experiment, replace(options, bandwidth=problem.smoother.bandwidth)), method))
+        found = solve(prepare(problem.experiment, replace(options, bandwidth=problem.smoother.bandwidth)), method)
+        return urdf_links(*found), bool(found[1].details.model_complete)
     except (BayesidError, np.linalg.LinAlgError):
-        return None
+        return None, False
 
 
 def _errors(problem: Problem, *solutions: np.ndarray) -> dict[str, tuple[float, float]]:

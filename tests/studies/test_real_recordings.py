@@ -31,7 +31,7 @@ def test_wrist_poses_give_the_published_mass_and_offsets(wrist):
 def test_wrist_says_what_is_not_excited_and_that_poses_and_motion_disagree(wrist):
     assert {label[:2] for label in wrist.unexcited} == {"I3"} and len(wrist.unexcited) == 6
     text = " ".join(wrist.warnings)
-    assert "Not excited" in text and "do not average" in text and "baseline" in text
+    assert "Not excited" in text and "Do not average" in text and "baseline" in text
     apart = {a.first: a for a in wrist.agreements}
     # Intervals of both motions count their own scatter, that of the one with hammer taps more.
     assert apart["motion baseline"].contradiction and apart["motion vibrations"].rms > 1.5
