@@ -27,8 +27,8 @@ _PASSES, _SETTLED = 3, 1e-4
 _DRAWS, _SEED = 16, 36
 #: Two fits contradict each other when their difference is less probable than the first, and the efficient one's
 #: residuals have more than the second times the power of the plain one's. Either alone happens by chance, for weights are
-#: estimated: of complete models with 200 rows or more the first did in 12 %, with at most 1.009 times the power then
-#: (tests/estimators/test_estimators.py).
+#: estimated: of 1,350 complete models like those of tests/estimators/test_estimators.py, of 200 rows or more and noise
+#: correlated by 0 to 0.9, the first happened in 73, the power at most 1.009 times as large then.
 SMALLEST_AGREEMENT = 1e-4
 LARGEST_LOSS = 1.02
 #: An efficient fit whose parts scatter more than noise explains, with a smaller probability than this, is not efficient.

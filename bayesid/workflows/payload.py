@@ -392,15 +392,10 @@ def _not_shown(result: PayloadEstimate) -> list[str]:
         ]
     out = []
     lost = [q.name for q in result.centre if not q.shown]
-    for which, says in (
-        ([k for k in lost if never[k]], "No motion of this robot shows the centre of mass along {}."),
-        (
-            [k for k in lost if not never[k]],
-            "The recordings do not show the centre of mass along {}: add poses that turn gravity there.",
-        ),
-    ):
-        if which:
-            out.append(says.format(", ".join(which)))
+    if unseen := [k for k in lost if never[k]]:
+        out.append(f"No motion of this robot shows the centre of mass along {', '.join(unseen)}.")
+    if still := [k for k in lost if not never[k]]:
+        out.append(f"The recordings do not show the centre of mass along {', '.join(still)}: add poses that turn gravity there.")
     hidden = [q.name for q in result.inertia if not q.shown]
     if hidden:
         which = "Inertia" if len(hidden) == 6 else ", ".join(hidden)

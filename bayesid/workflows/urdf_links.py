@@ -76,10 +76,10 @@ def missing_rotors(
     if mistaken:
         return [] if links.usable else [f"{said}Undo the mistake that is named below, then fit again: do not rely on these."]
     effects = [effect.spec for effect in problem.row_model.effects]
-    repaired, complete = None, False
+    repaired = None
     if not any(spec.startswith(_ROTORS) for spec in effects):
-        repaired, complete = _links_with(problem, method, replace(options, effects=[*effects, _ROTORS]))
-    if repaired is None or not repaired.usable or impossible(repaired) or (possible and not complete):
+        repaired = _links_with(problem, method, replace(options, effects=[*effects, _ROTORS]), complete=possible)
+    if repaired is None or not repaired.usable or impossible(repaired):
         lacks = "The model lacks something that acts like inertia, or the URDF's masses are wrong: do not rely on these."
         return [] if links.usable else [said + lacks]
     motion, (before, _) = next(iter(links.errors.items()))
@@ -91,13 +91,13 @@ def missing_rotors(
     ]
 
 
-def _links_with(problem: Problem, method: Estimator, options: FitOptions) -> tuple[UrdfLinks | None, bool]:
-    """The links of the same fit with other effects, None where that cannot be fitted, and whether the model is complete."""
+def _links_with(problem: Problem, method: Estimator, options: FitOptions, complete: bool) -> UrdfLinks | None:
+    """The links of the same fit with other effects; None where that cannot be fitted or, if asked for, is not complete."""
     try:
         found = solve(prepare(problem.experiment, replace(options, bandwidth=problem.smoother.bandwidth)), method)
-        return urdf_links(*found), bool(found[1].details.model_complete)
+        return urdf_links(*found) if found[1].details.model_complete or not complete else None
     except (BayesidError, np.linalg.LinAlgError):
-        return None, False
+        return None
 
 
 def _errors(problem: Problem, *solutions: np.ndarray) -> dict[str, tuple[float, float]]:
