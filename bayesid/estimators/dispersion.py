@@ -29,8 +29,6 @@ from bayesid.regression.linalg import or_one
 
 #: Parts that a recording is cut into. Fewer leave few degrees of freedom; in more of them little moves.
 PARTS = 8
-#: A dispersion above one counts where chance reaches it with a smaller probability than this.
-CHANCE = 0.05
 #: Largest share of a direction that one part may hold, before its correction is bounded.
 _LARGEST_SHARE = 0.95
 _SMALLEST = 1e-9
@@ -52,8 +50,17 @@ class Dispersion:
     degrees: int = 0  # degrees of freedom; 0 there
     size: float = 0.0  # the trace that it is relative to
 
-    def beyond_chance(self, chance: float = CHANCE) -> bool:
-        """Whether it is larger than noise alone makes it."""
+    @property
+    def factor(self) -> float:
+        """By which a variance is multiplied: the dispersion, nowhere below one.
+
+        It is not asked whether chance alone explains it: intervals that are widened only where that is improbable are too short
+        wherever a moderate scatter is real, and what this costs where it is chance is a few per cent of their width.
+        """
+        return max(self.found, 1.0)
+
+    def beyond_chance(self, chance: float) -> bool:
+        """Whether it is larger than noise alone makes it, but for so improbable a chance."""
         return self.degrees > 0 and self.found > float(chi2.ppf(1.0 - chance, self.degrees)) / self.degrees
 
 
@@ -92,15 +99,12 @@ def dispersions(whole: Rows, solution: np.ndarray, channels: Sequence[Rows] = ()
 
 
 def widening(whole: Dispersion, channels: Sequence[Dispersion]) -> np.ndarray:
-    """By what to multiply the noise variance of each channel (c,): its dispersion, nowhere below one.
+    """By what to multiply the noise variance of each channel (c,).
 
-    Ones where chance explains all of it, that of the whole and that of every channel. Where channels pull together, by the links
-    that they share, the whole scatters by more than its parts: then all are multiplied by what is missing. Without channels, the
-    dispersion of the whole (1,).
+    Where channels pull together, by the links that they share, the whole scatters by more than its parts: then all are
+    multiplied by what is missing. Without channels, the factor of the whole (1,).
     """
-    if not whole.beyond_chance() and not any(c.beyond_chance(CHANCE / len(channels)) for c in channels):
-        return np.ones(max(len(channels), 1))
     if not channels:
-        return np.array([max(whole.found, 1.0)])
-    own = np.array([max(c.found, 1.0) for c in channels])
+        return np.array([whole.factor])
+    own = np.array([c.factor for c in channels])
     return own * max(whole.found / np.average(own, weights=[c.size for c in channels]), 1.0)

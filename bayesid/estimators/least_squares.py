@@ -205,16 +205,17 @@ def covariance_middle(
     if scale is not None and not may_matter(regression, weights):
         return sandwich_middle(regression, weights.dispersed(), scale)
     if scale is None and weights.by_noise:  # encoder errors are in the noise that rows were whitened with
-        return weights.dispersion * factor.matrix.T @ factor.matrix
+        return weights.efficient.factor * factor.matrix.T @ factor.matrix
     exact = scale is None and regression.noise_std is not None  # whitened with noise that is known
     if exact:
         middle = factor.matrix.T @ factor.matrix
     else:
         middle = whitened_middle(regression, weights) if scale is None else sandwich_middle(regression, weights.noise, scale)
     corrected = with_encoder_errors(regression, weights, scale, pseudo_inverse(factor.matrix, UNSEEN), middle)
-    if scale is None:
-        return (None if exact else middle) if corrected is None else corrected
-    return weights.dispersion * (middle if corrected is None else corrected)  # a complete model's is the same for all channels
+    if scale is None and exact and corrected is None:
+        return None
+    wider = weights.efficient.factor if scale is None else weights.dispersion  # a complete model's: alike for all channels
+    return wider * (middle if corrected is None else corrected)
 
 
 def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> tuple[np.ndarray, float]:

@@ -51,6 +51,7 @@ class Weights:
     #: Dispersion of the channel-weighted fit between parts of the recording over what ``noise`` allows
     #: (`bayesid.estimators.dispersion`).
     scatter: Dispersion = Dispersion()
+    efficient: Dispersion = Dispersion()  # that of the efficient fit
     #: That of each channel, by name; none where the model is complete: how much they differ is mostly chance there.
     channels: dict[str, Dispersion] = field(default_factory=dict)
     #: Whether rows are weighted by the noise even if the model lacks something, for it is not learned from residuals alone.
@@ -63,7 +64,7 @@ class Weights:
 
     @property
     def widened(self) -> bool:
-        """Whether parts scatter by more than chance."""
+        """Whether parts scatter by more than the noise model says."""
         return bool(np.any(self.factors > 1.0))
 
     @property
@@ -138,7 +139,7 @@ def _learned(regression: Regression) -> Weights:
         Rows(pilot.segments([r[:, c : c + 1] for r in rows]), _channel_middle(pilot, noise, scale, c)) for c in range(len(names))
     ]
     scatter, *parts = dispersions(Rows(pilot.segments(rows), middle), plain, channels)
-    return Weights(noise, agreement, complete, plain, scatter, dict(zip(names, parts, strict=True)))
+    return Weights(noise, agreement, complete, plain, scatter, found, dict(zip(names, parts, strict=True)))
 
 
 def _with_rung_errors(regression: Regression, law: RegressorNoise, pilot: Pilot, plain: np.ndarray) -> Weights:
@@ -165,7 +166,7 @@ def _with_rung_errors(regression: Regression, law: RegressorNoise, pilot: Pilot,
         factor = pilot.whitened(noise)
         values, spread = solve(factor.matrix, factor.target), pseudo_inverse(factor.matrix)
     (found,) = dispersions(Rows(pilot.segments([rows for _, rows in whitened(pilot.orthonormal, noise)])), values)
-    return Weights(noise, 1.0, not found.beyond_chance(SMALLEST_PARTS), values, found, by_noise=True)
+    return Weights(noise, 1.0, not found.beyond_chance(SMALLEST_PARTS), values, found, found, by_noise=True)
 
 
 def pilot_of(regression: Regression) -> Pilot:
