@@ -21,6 +21,7 @@ import numpy as np
 from scipy.optimize import fminbound
 
 from bayesid.errors import InputError
+from bayesid.estimators.dispersion import Dispersion
 from bayesid.estimators.encoder_errors import may_matter, sandwich_middle, with_encoder_errors
 from bayesid.estimators.estimator import Details, Estimate, largest_autocorrelation
 from bayesid.estimators.factor import Factor, reduce_in_coordinates, reduce_whitened, whitened
@@ -211,11 +212,23 @@ def covariance_middle(
         middle = factor.matrix.T @ factor.matrix
     else:
         middle = whitened_middle(regression, weights) if scale is None else sandwich_middle(regression, weights.noise, scale)
-    corrected = with_encoder_errors(regression, weights, scale, pseudo_inverse(factor.matrix, UNSEEN), middle)
-    if scale is None and exact and corrected is None:
-        return None
-    wider = weights.efficient.factor if scale is None else weights.dispersion  # a complete model's: alike for all channels
-    return wider * (middle if corrected is None else corrected)
+    inverse = pseudo_inverse(factor.matrix, UNSEEN)
+    corrected = with_encoder_errors(regression, weights, scale, inverse, middle)
+    if scale is not None:
+        return weights.dispersion * (middle if corrected is None else corrected)  # a complete model's: alike for all channels
+    if exact:
+        return corrected
+    return _scattered(inverse, factor, middle, weights.efficient) * (middle if corrected is None else corrected)
+
+
+def _scattered(inverse: np.ndarray, factor: Factor, middle: np.ndarray, efficient: Dispersion) -> float:
+    """By what an efficient fit scatters between parts more than the spectrum of its whitened rows says; one at least.
+
+    The dispersion is relative to rows R that are white, ``trace(R^-T R'R R^-1)``, the spectrum's M likewise: what both see
+    counts once.
+    """
+    spread = float(np.vdot(inverse, middle @ inverse)) / float(np.sum((factor.matrix @ inverse) ** 2) or 1.0)
+    return max(efficient.found / spread, 1.0) if spread > 0.0 else 1.0
 
 
 def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> tuple[np.ndarray, float]:

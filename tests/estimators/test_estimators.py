@@ -43,7 +43,8 @@ def test_ols_is_least_squares_with_the_sandwich():
     assert noise.order == 0
     sigma = np.kron(np.eye(len(target)), noise.innovation)
     bread = np.linalg.inv(x.T @ x)
-    np.testing.assert_allclose(estimate.covariance, bread @ x.T @ sigma @ x @ bread, rtol=1e-6)
+    middle = estimate.details.dispersion * x.T @ sigma @ x
+    np.testing.assert_allclose(estimate.covariance, bread @ middle @ bread, rtol=1e-6)
 
 
 def test_gls_is_generalised_least_squares():
