@@ -126,6 +126,11 @@ class InPart:
     groups: tuple[ChannelGroup, ...] = ()
 
     @property
+    def names(self) -> frozenset[str]:
+        """The proven effects, ``name@place``."""
+        return frozenset(f.term.effect.spec for f in self.search.found)
+
+    @property
     def remainder(self) -> float:
         """Share of the gap that stays."""
         before, *_, after, floor = self.courses
@@ -137,15 +142,15 @@ def proven_effects(s: Search, seed: int) -> InPart | None:
     part = _proven(s, seed, None)
     exact = tuple(_exact(part.search)) if part else ()
     # Values have moved since the columns were taken, and the less is left, the smaller the effects that stand out of it: anew
-    # about what was found, until no more comes of it, and then with those effects that came near.
+    # about what was found, until the same effects are found or no more comes of it, and then with those effects that came near.
     for _ in range(SWEEPS):
         again = part and _proven(part.search, seed, None, exact)
         if part is None or again is None:
             part = again  # what was proven does not stand alone
             break
-        better = part.remainder - again.remainder
+        better, same = part.remainder - again.remainder, part.names == again.names
         part = again if better > 0.0 else part
-        if better <= LEAST_GAP:
+        if same or better <= LEAST_GAP:
             break
     last = part and _proven(part.search, seed, part.near, exact)
     last = last and _beyond_offset(last, seed)

@@ -193,8 +193,8 @@ over all recordings, and the *bound* is Cramér and Rao's: no unbiased estimate 
 the scatter of the errors in units of the standard deviations that were stated, mean of all parameters: 1 where these are exact.
 
 **Behind the paper's low-pass intervals are a little wider than need be.** They count how far the estimate scatters between
-parts of the recording where that is larger than noise makes it, as it is on real robots. One complete model in twenty shows
-so much by chance, and rows that were low-passed say little about it.
+parts of the recording where that is more than the noise says, as it is on real robots. Of a complete model every other
+recording shows a little more by chance, and the fewer independent rows there are, the more: those that were low-passed are few.
 
 **White-noise intervals** are the textbook's `s² (X'X)⁻¹` on every sample's row. Without a low-pass the noise of the rows is
 white and they are right; behind l = 1 rad/s neighbouring rows share most of their noise, and intervals that ignore it

@@ -161,7 +161,7 @@ def test_every_parameter_is_covered_by_intervals_hardly_wider_than_need_be(full,
     low, high = arm["band"]
     for fit in JUDGED:
         assert low <= min(arm["fits"][fit]["coverage"]), fit
-        # Wider than need be by a tenth at most: one complete model in twenty seems to scatter beyond its noise by chance.
+        # Wider than need be by a tenth at most: every other complete model seems to scatter more than its noise says by chance.
         assert 0.9 < min(arm["fits"][fit]["z_std"]) and np.mean(arm["fits"][fit]["z_std"]) < 1.05, fit
     assert max(arm["fits"]["default"]["coverage"]) <= high
     assert max(arm["fits"][CONTROL]["coverage"]) < 0.5
