@@ -192,9 +192,9 @@ method, of plain (`ols`) and of generalised least squares (`gls`). Coverage is i
 over all recordings, and the *bound* is Cramér and Rao's: no unbiased estimate can have a smaller error. *Error / deviation* is
 the scatter of the errors in units of the standard deviations that were stated, mean of all parameters: 1 where these are exact.
 
-**Behind the paper's low-pass intervals are a little wider than need be.** They count how far the estimate scatters between
-parts of the recording where that is more than the noise says, as it is on real robots. Of a complete model every other
-recording shows a little more by chance, and the fewer independent rows there are, the more: those that were low-passed are few.
+**Behind the paper's low-pass intervals are up to an eighth wider than need be.** They count how far the estimate scatters
+between parts of the recording where that is more than the noise says, as it is on real robots. Of a complete model every other
+recording shows a little more by chance, and noise that a low-pass carries from one part to the next seems to be such scatter.
 
 **White-noise intervals** are the textbook's `s² (X'X)⁻¹` on every sample's row. Without a low-pass the noise of the rows is
 white and they are right; behind l = 1 rad/s neighbouring rows share most of their noise, and intervals that ignore it

@@ -19,7 +19,7 @@ from tests.studies.coverage_case import ARMS, FITS, PAPER, RATE, WHITE, bound, f
 
 SEED = 31
 COUNT = 24
-JUDGED = ("default", "l = 1, d = 50, default", "l = 1, d = 50, ols")
+JUDGED = ("default", "gls", "l = 1, d = 50, gls", "l = 1, d = 50, default", "l = 1, d = 50, ols")
 CONTROL = "l = 1, d = 50, white noise"
 
 
@@ -161,8 +161,11 @@ def test_every_parameter_is_covered_by_intervals_hardly_wider_than_need_be(full,
     low, high = arm["band"]
     for fit in JUDGED:
         assert low <= min(arm["fits"][fit]["coverage"]), fit
-        # Wider than need be by a tenth at most: every other complete model seems to scatter more than its noise says by chance.
-        assert 0.9 < min(arm["fits"][fit]["z_std"]) and np.mean(arm["fits"][fit]["z_std"]) < 1.05, fit
+        # Wider than need be by an eighth at most, and by a tenth where rows are not low-passed: every other complete model seems
+        # to scatter more than its noise says by chance.
+        least = 0.9 if fit == "default" or fit.endswith("gls") else 0.875
+        assert least < min(arm["fits"][fit]["z_std"]) and np.mean(arm["fits"][fit]["z_std"]) < 1.05, fit
+        assert max(arm["fits"][fit]["coverage"]) < 0.985, fit
     assert max(arm["fits"]["default"]["coverage"]) <= high
     assert max(arm["fits"][CONTROL]["coverage"]) < 0.5
 
