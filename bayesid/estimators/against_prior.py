@@ -40,5 +40,6 @@ def of_data(regression: Regression) -> Evidence:
     """
     learned = learn_weights(regression)
     factor, scale = weighted_factor(regression, learned, likelihood_weights(learned))
-    matrix, target = compressed(factor.matrix, factor.target, covariance_middle(regression, learned, scale, factor))
+    middle = covariance_middle(regression, learned, scale, factor)
+    matrix, target = compressed(factor.matrix, factor.target, middle.matrix)
     return evidence_of(matrix, target, undetermined(factor.matrix), regression.base.rank)

@@ -15,7 +15,7 @@ All minimise ``||W (y - X b)||`` for rows y = X b + e with cov e = Sigma:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import fminbound
@@ -72,10 +72,11 @@ class LeastSquares:
         inverse = pseudo_inverse(factor.matrix, UNSEEN)
         bread = inverse @ inverse.T
         middle = covariance_middle(regression, weights, scale, factor)
-        covariance = bread if middle is None else bread @ middle @ bread
+        covariance = bread if middle.matrix is None else bread @ middle.matrix @ bread
         estimate = make_estimate(self.name, regression, weights, factor, solution, covariance, hidden)
         warnings = () if kind == self.weights else (CHANNEL_INSTEAD.format(self.name),)
-        return replace(estimate, details=LeastSquaresDetails(**completeness(weights), weights=kind, warnings=warnings))
+        said = completeness(weights, middle.dispersion)
+        return replace(estimate, details=LeastSquaresDetails(**said, weights=kind, warnings=warnings))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,17 +197,23 @@ def target_from_nominal(regression: Regression, factor: Factor) -> np.ndarray:
     return factor.target - factor.matrix @ nominal_start(regression, factor.matrix.shape[1])
 
 
-def covariance_middle(
-    regression: Regression, weights: Weights, scale: dict[str, np.ndarray] | None, factor: Factor
-) -> np.ndarray | None:
-    """Covariance of the weighted equations' right side (p, p); None where it is the equations' matrix.
+class Middle(NamedTuple):
+    """Covariance of the weighted equations' right side."""
+
+    matrix: np.ndarray | None  # (p, p); None where it is the equations' matrix
+    dispersion: float  # factor in it for the scatter between parts of the recording beyond what noise alone makes
+
+
+def covariance_middle(regression: Regression, weights: Weights, scale: dict[str, np.ndarray] | None, factor: Factor) -> Middle:
+    """Covariance of the weighted equations' right side.
 
     ``scale`` is what each channel (c,) of a group of rows was weighted with; None: rows were whitened.
     """
     if scale is not None and not may_matter(regression, weights):
-        return sandwich_middle(regression, weights.dispersed(), scale)
+        return Middle(sandwich_middle(regression, weights.dispersed(), scale), weights.dispersion)
     if scale is None and weights.by_noise:  # encoder errors are in the noise that rows were whitened with
-        return weights.efficient.factor * factor.matrix.T @ factor.matrix
+        wider = weights.efficient.factor
+        return Middle(wider * factor.matrix.T @ factor.matrix, wider)
     exact = scale is None and regression.noise_std is not None  # whitened with noise that is known
     if exact:
         middle = factor.matrix.T @ factor.matrix
@@ -214,11 +221,11 @@ def covariance_middle(
         middle = whitened_middle(regression, weights) if scale is None else sandwich_middle(regression, weights.noise, scale)
     inverse = pseudo_inverse(factor.matrix, UNSEEN)
     corrected = with_encoder_errors(regression, weights, scale, inverse, middle)
-    if scale is not None:
-        return weights.dispersion * (middle if corrected is None else corrected)  # a complete model's: alike for all channels
     if exact:
-        return corrected
-    return _scattered(inverse, factor, middle, weights.efficient) * (middle if corrected is None else corrected)
+        return Middle(corrected, 1.0)
+    # A complete model's dispersion is the same for all channels.
+    wider = weights.dispersion if scale is not None else _scattered(inverse, factor, middle, weights.efficient)
+    return Middle(wider * (middle if corrected is None else corrected), wider)
 
 
 def _scattered(inverse: np.ndarray, factor: Factor, middle: np.ndarray, efficient: Dispersion) -> float:
@@ -272,10 +279,11 @@ def _biased(name, regression, weights, factor, values, details, reason) -> Estim
     return replace(estimate, interval="none", interval_reason=reason, details=details)
 
 
-def completeness(weights: Weights) -> dict[str, Any]:
-    """What every estimator says of the model, as keywords of its `Details`."""
+def completeness(weights: Weights, dispersion: float | None = None) -> dict[str, Any]:
+    """What every estimator says of the model, as keywords of its `Details`; its dispersion by default that of `Weights`."""
     return {
-        "model_complete": weights.complete, "agreement_of_gls_and_wls": weights.agreement, "dispersion": weights.dispersion,
+        "model_complete": weights.complete, "agreement_of_gls_and_wls": weights.agreement,
+        "dispersion": weights.dispersion if dispersion is None else dispersion,
         "dispersion_by_channel": weights.dispersion_by_channel,
     }  # fmt: skip
 

@@ -140,13 +140,13 @@ class Likelihood:
         columns, channels = len(regression.column_names) + 1, len(regression.channel_names)
         noise, scale, factor = _weighted(regression, weights, 0 if not keep_rows else _PASSES)
         middle = covariance_middle(regression, weights, scale, factor)
-        adjust, wanted = _adjusted(factor, middle, shrink=not (weights.complete or keep_rows))
+        adjust, wanted = _adjusted(factor, middle.matrix, shrink=not (weights.complete or keep_rows))
         if not (weights.complete or keep_rows):
             one = np.zeros((1, columns, columns))
             one[0, : len(wanted)] = wanted
             return cls(
                 one, np.array([len(wanted)]), ("estimate",), tuple(noise), noise=noise, adjust=adjust, complete=False,
-                dispersion=weights.dispersion, estimate_only=True, factor=factor,
+                dispersion=middle.dispersion, estimate_only=True, factor=factor,
             )  # fmt: skip
         factors: dict[str, list[np.ndarray]] = {}
         counts: dict[str, int] = {}
@@ -170,7 +170,7 @@ class Likelihood:
             noise,
             adjust,
             weights.complete,
-            weights.dispersion,
+            middle.dispersion,
             factor=factor,
         )
 

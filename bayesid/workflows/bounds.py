@@ -51,8 +51,8 @@ def assumptions(result: ControllerBounds, dropped: Sequence[str]) -> tuple[str, 
     out = [law]
     if known.dispersion > 1.0:
         out.append(
-            f"What the model lacks is counted: the covariance is {known.dispersion:.3g} times what noise alone would give, by "
-            "the scatter between parts of the recording."
+            f"The scatter between parts of the recording is counted: the covariance is {known.dispersion:.3g} times what noise "
+            "alone would give."
         )
     if known.held_out_scale < 1.0:
         out.append(

@@ -6,6 +6,7 @@ from scipy.linalg import sqrtm
 
 import bayesid
 from bayesid.estimators.dispersion import PARTS, Dispersion, Rows, dispersions, widening
+from bayesid.estimators.innovation_spectrum import whitened_middle
 from bayesid.estimators.weights import learn_weights
 from bayesid.posterior.likelihood import Likelihood
 from bayesid.regression.regression import Regression
@@ -110,3 +111,27 @@ def test_widening_is_the_dispersion_of_each_channel_and_at_least_that_of_all():
     np.testing.assert_array_equal(widening(scatter(2.0), []), [2.0])
     np.testing.assert_array_equal(widening(scatter(0.9), []), [1.0])
     np.testing.assert_allclose(widening(scatter(4.0), [scatter(3.0), scatter(1.0, size=15.0)]), [8.0, 8.0 / 3.0])
+
+
+@pytest.mark.parametrize("method", ["wls", "gls"])
+def test_the_dispersion_that_is_said_is_that_of_the_covariance(method):
+    """A complete model's: with the factor taken out again the covariance is that of the noise alone."""
+    data, _ = regression(np.random.default_rng(3))
+    estimate = bayesid.fit(data, method)
+    weights = learn_weights(data)
+    assert estimate.details.model_complete and estimate.details.dispersion >= 1.0
+    x = np.concatenate([b.matrix for b in data.blocks()])
+    if method == "wls":
+        x = (x / weights.noise["trajectory"].std[:, None]).reshape(-1, x.shape[2])
+        alone = np.linalg.inv(x.T @ x)  # the noise is white
+    else:
+        rows = np.concatenate([weights.noise["trajectory"].whiten(b.matrix) for b in data.blocks()]).reshape(-1, x.shape[2])
+        bread = np.linalg.inv(rows.T @ rows)
+        alone = bread @ whitened_middle(data, weights) @ bread
+    np.testing.assert_allclose(np.diag(estimate.covariance) / np.diag(alone), estimate.details.dispersion, rtol=0.02)
+
+
+def test_the_likelihood_says_the_dispersion_of_its_own_covariance():
+    for k in range(5):
+        data, _ = regression(np.random.default_rng(k))
+        assert Likelihood.of(data).dispersion == pytest.approx(bayesid.fit(data, "gls").details.dispersion)

@@ -241,7 +241,7 @@ class Physical:
         factor, scale = weighted_factor(regression, learned, kind)
         hidden = undetermined(factor.matrix)
         middle = covariance_middle(regression, learned, scale, factor)
-        matrix, target = compressed(factor.matrix, factor.target, middle)
+        matrix, target = compressed(factor.matrix, factor.target, middle.matrix)
         data = LinkData.of(regression, matrix, target, self.prior)
         evidence = evidence_of(matrix, target, hidden, regression.base.rank)
         prior = link_prior(regression, data, evidence, self.prior, self.metric, self.rel_std)
@@ -264,7 +264,7 @@ class Physical:
             covariance = _posterior(data, problem, regression.base.matrix) if joint else _of_data(matrix)
         estimate = make_estimate(self.name, regression, learned, factor, values, covariance, hidden)
         details = PhysicalDetails(
-            **completeness(learned),
+            **completeness(learned, middle.dispersion),
             weights=kind,
             prior=prior,
             closest=closest,
