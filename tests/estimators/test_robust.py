@@ -329,7 +329,7 @@ def test_study_robust_errors_and_coverage(study, name):
 
 @pytest.mark.slow
 def test_the_page_shows_this_study(study):
-    shown = json.loads((outliers.DOCS / "outliers.json").read_text(encoding="utf-8"))
+    shown = json.loads((outliers.STUDIES / "outliers" / "results.json").read_text(encoding="utf-8"))
     for name, arm in study["arms"].items():
         for key, result in arm["fits"].items():
             assert shown["arms"][name]["fits"][key]["error"] == pytest.approx(result["error"], rel=0.05), key

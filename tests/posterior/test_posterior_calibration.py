@@ -52,7 +52,7 @@ def test_truths_are_possible_bodies_and_page_is_written(tmp_path):
 @pytest.mark.slow
 def test_the_whole_study_is_calibrated_and_is_the_page_shown():
     result = sbc.study(folder=sbc.kept())
-    shown = json.loads((sbc.DOCS / "sbc.json").read_text(encoding="utf-8"))
+    shown = json.loads((sbc.FOLDER / "results.json").read_text(encoding="utf-8"))
     for name, case in result["cases"].items():
         assert case["smallest_probability"] > case["family_limit"], name
         assert len(case["outside"]) <= 0.05 * case["quantities"], name
