@@ -153,4 +153,4 @@ def _correlation(sums: HeldOutSums, groups: Sequence[int], effects: int) -> floa
     pick[active, np.arange(len(active))] = 1.0
     pick[:, -1] = left  # about its own fit, so that the solution is zero
     (found,) = dispersions(Rows([pick.T @ part @ pick for part in parts]), np.zeros(len(active)))
-    return max(found.found, 1.0)
+    return found.factor

@@ -73,7 +73,7 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
         np.repeat(np.concatenate([np.full(len(block.rows), block.motion) for block in blocks]), count),
         np.tile(np.arange(count), len(rows)), (own / scale).ravel(), scale,
         max(model.step / float(np.median(np.concatenate([np.diff(s.times) for s in segments]))), 1.0),
-        max(dispersions(Rows(grams), estimate.solution)[0].found, 1.0),
+        dispersions(Rows(grams), estimate.solution)[0].factor,
     )  # fmt: skip
 
 
