@@ -124,7 +124,7 @@ def _certificate(value: Mapping[str, Any]) -> str:
 
 
 def _physics(value: Mapping[str, Any]) -> str:
-    if not value["tested"]:
+    if not (value["tested"] or value["data_contradict_physics"]):
         return "not tested: the body that fits best was not found"
     p = chance(value["probability_at_most"])
     said = "yes" if value["data_contradict_physics"] else "no"

@@ -7,6 +7,7 @@ import re
 import warnings
 from dataclasses import replace
 
+import clarabel
 import cvxpy as cp
 import numpy as np
 import pinocchio as pin
@@ -178,6 +179,29 @@ def test_readings_of_no_body_are_warned_of(tmp_path):
         made = experiment(robot, [Motion("a", "identification", given)], inertia_rel_std=0.3)
         found = identify(made, "torque", "sdp")
         assert any("contradict physics" in w for w in found.warnings) == warned
+
+
+@pytest.mark.filterwarnings("ignore:sdp. certified to:bayesid.errors.BayesidWarning")
+def test_a_solver_that_stops_still_tells_what_contradicts_physics(tmp_path, monkeypatch):
+    """Multipliers of an unfinished solution bound the distance from below: enough where the readings are of no body at all."""
+    robot, truth, _ = simulated(tmp_path, trust=0.3)
+    table = recording(robot, None, fourier(robot, 0), torque_std=0.02, resolution=1e-5, phi=truth, seed=0)
+    flipped = experiment(robot, [Motion("a", "identification", replace(table, torques=-table.torques))], inertia_rel_std=0.3)
+    regression = prepare(flipped, FitOptions("torque")).regression
+    whole = fit(regression, "sdp").details.physics
+
+    def stopped(problem):
+        unfinished = clarabel.DefaultSettings()
+        unfinished.verbose, unfinished.max_threads, unfinished.max_iter = False, 1, 12
+        with monkeypatch.context() as m:
+            m.setattr("bayesid.estimators.conic.problem._settings", lambda: iter([unfinished]))
+            return solve_conic(problem)
+
+    solvers = iter([solve_conic, stopped])
+    monkeypatch.setattr("bayesid.estimators.conic.physical.solve_conic", lambda problem: next(solvers)(problem))
+    bounded = fit(regression, "sdp").details.physics
+    assert whole.data_contradict_physics and bounded.data_contradict_physics and not bounded.tested
+    assert 100.0 * bounded.directions < bounded.distance <= whole.distance * (1.0 + 1e-6)
 
 
 def test_links_can_exist_and_have_the_base_parameters(tmp_path):

@@ -26,7 +26,7 @@ from bayesid.errors import BayesidWarning, EstimationError, InputError
 from bayesid.estimators.conic.bounds import Bounds
 from bayesid.estimators.conic.entropic import solve_entropic
 from bayesid.estimators.conic.links import LinkData, LinkPrior, closest_within, compressed, conic, link_prior, misfit
-from bayesid.estimators.conic.problem import Conic, Infeasible, Linear, Solution, solve_conic
+from bayesid.estimators.conic.problem import Conic, Infeasible, Linear, Solution, Unsolved, solve_conic
 from bayesid.estimators.estimator import OPTIONAL, Details, Estimate
 from bayesid.estimators.least_squares import completeness, covariance_middle, likelihood_weights, make_estimate, weighted_factor
 from bayesid.estimators.prior_check import Evidence
@@ -96,7 +96,7 @@ class Certificate:
 class PhysicsTest:
     """Whether the unconstrained estimate and bodies that can exist are further apart than noise explains."""
 
-    distance: float  # squared, in units of the noise
+    distance: float  # squared, in units of the noise; where the nearest body was not found, a lower bound of it
     directions: int  # number of determined combinations that the constraints speak of
     probability_at_most: float  # upper bound on the probability of such a distance when bodies can exist
     data_contradict_physics: bool  # whether that is below `CONTRADICTION`
@@ -331,7 +331,7 @@ def _solved(
         else:
             solution = solve_conic(problem)
         # The test is between data and physics alone: the nominal model is all but left out.
-        nearest, tested = _nearest(data, prior, groups, solution)
+        least, nearest = _nearest(data, prior, groups, solution)
         if method.closest is not None:
             # Among those whose misfit is at most a quantile above the best physical one's: ``{x: ||A x - t||^2 <= min + chi2}``
             # is the confidence region of the base parameters by likelihood ratio.
@@ -342,7 +342,7 @@ def _solved(
     except Infeasible:
         raise explain(problem) from None
     directions = len(data.target) - _free(data, groups)
-    return solution, problem, PhysicsTest.of(nearest if tested else 0.0, directions, tested), closest
+    return solution, problem, PhysicsTest.of(least, directions, nearest == least), closest
 
 
 def _contradiction(physics: PhysicsTest) -> str:
@@ -353,15 +353,17 @@ def _contradiction(physics: PhysicsTest) -> str:
     )
 
 
-def _nearest(data: LinkData, prior: LinkPrior, groups: tuple[Linear, ...], solution: Solution) -> tuple[float, bool]:
-    """Smallest misfit of any possible body, and whether it was found; otherwise that of the solution, which is larger."""
+def _nearest(data: LinkData, prior: LinkPrior, groups: tuple[Linear, ...], solution: Solution) -> tuple[float, float]:
+    """Least misfit that a possible body can have, and that of the nearest one found: the same where that is the optimum."""
     own = misfit(data, solution.x)
     if solution.iterations == 0:
-        return own, True
+        return own, own
     try:
-        return min(own, misfit(data, solve_conic(conic(data, prior, groups, prior.loosened)).x)), True
-    except EstimationError:
-        return own, False
+        nearest = min(own, misfit(data, solve_conic(conic(data, prior, groups, prior.loosened)).x))
+    except Unsolved as error:
+        # Twice the objective is the misfit with what is left of the prior, above that of the unconstrained minimiser.
+        return min(own, 2.0 * max(error.bound, 0.0)), own
+    return nearest, nearest
 
 
 def _free(data: LinkData, groups: tuple[Linear, ...]) -> int:

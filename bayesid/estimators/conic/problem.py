@@ -216,11 +216,19 @@ class Infeasible(Exception):
     """No parameters meet all constraints."""
 
 
+class Unsolved(EstimationError):
+    """No point was found whose certificate holds; multipliers alone still give a lower bound on what any feasible one has."""
+
+    def __init__(self, bound: float) -> None:
+        super().__init__("the conic solver found no physical solution; check units and the conditioning of the motion")
+        self.bound = bound  # of 1/2 ||C (x - m)||^2
+
+
 def solve_conic(problem: Conic) -> Solution:
     """The minimiser, with its certificate.
 
-    `Infeasible` where no parameters meet all constraints, and an `EstimationError` where the solver stopped without a solution
-    whose certificate holds.
+    `Infeasible` where no parameters meet all constraints, and `Unsolved` where the solver stopped without a solution whose
+    certificate holds.
     """
     matrix, low, cones = problem.constraints()
     if violation(problem, matrix @ problem.centre - low) <= 0.0:
@@ -258,7 +266,7 @@ def _minimum(problem: Conic, matrix: np.ndarray, low: np.ndarray, cones: list) -
         tries += [solution_at(problem, matrix, low, t.x, z, t.iterations) for t in tries]
     best = min(tries, key=_quality, default=None)
     if best is None or not _quality(best) < 1e3:
-        raise EstimationError("the conic solver found no physical solution; check units and the conditioning of the motion")
+        raise Unsolved(max((t.bound for t in tries), default=0.0))
     return best
 
 
