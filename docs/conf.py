@@ -32,9 +32,8 @@ nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
 nb_output_stderr = "remove"  # progress
-# Links to files of the repository that are no pages: scripts, tables, pictures of the source.
-# And sources that only docstrings of the inside name.
-suppress_warnings = ["myst.xref_missing", "ref.citation"]
+# Sources that only docstrings of the inside name.
+suppress_warnings = ["ref.citation"]
 
 autosummary_generate = True
 autodoc_typehints = "none"  # the docstrings say shapes and units, which annotations do not
@@ -108,10 +107,19 @@ def _contents(app, page: str, source: list[str]) -> None:
         source[0] += "\n".join(["", "```{toctree}", ":hidden:", *links, "```"])
 
 
+def _folders(app, page: str, source: list[str]) -> None:
+    """Where a page links to a package, which a browser of files opens, the site has the file that says what it is for."""
+    here = (Path(app.srcdir) / page).parent
+    source[0] = re.sub(
+        r"\]\((\.[\w/.-]+)\)", lambda m: f"]({m[1]}/__init__.py)" if (here / m[1] / "__init__.py").is_file() else m[0], source[0]
+    )
+
+
 def setup(app) -> None:
-    """Draw formulas, and make the tree of pages."""
+    """Draw formulas, make the tree of pages, and mend links to packages."""
     app.add_html_math_renderer("mathml", (_inline, None), (_display, None))
     app.connect("source-read", _contents)
+    app.connect("source-read", _folders)
 
 
 def _reference() -> str:
