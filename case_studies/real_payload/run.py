@@ -4,7 +4,7 @@
 
 ``--data`` is a clone of github.com/shamilmamedov/dynamic_calibration, or `data/ur10e` with folders made from it (default: below
 $BAYESID_DATA). Experiment folders are made in ``--work`` and kept there. Writes results.json, the figures and README.md with its
-commands, tables and numbers filled in; it takes about six minutes of processor time.
+commands, tables and numbers filled in; it takes two or three minutes of processor time.
 """
 
 from __future__ import annotations
