@@ -55,7 +55,8 @@ def plan(known: bayesid.Experiment) -> tuple[dict[str, Any], bayesid.Trajectory]
     """What each sensor set would determine, and the motion that determines it best."""
     random = bayesid.fourier_trajectory(known.robot, duration=DURATION, rate=SAMPLES, seed=SEED)
     before = bayesid.identifiability(known, random)
-    found = bayesid.excite(known, channel="both", duration=DURATION, rate=SAMPLES, starts=1, randoms=20, seconds=20.0, seed=SEED)
+    # So much time that the search ends by itself, on a busy machine too: the motion, and all that follows, are always the same.
+    found = bayesid.excite(known, channel="both", duration=DURATION, rate=SAMPLES, starts=1, randoms=20, seconds=600.0, seed=SEED)
     after = bayesid.identifiability(known, found.trajectory)
 
     def deviations(report) -> list[float]:
@@ -179,6 +180,7 @@ def study(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     exact = np.concatenate([bounds.torque_model.base.matrix @ truth.ravel(), *_drives(bounds)])
     band = bounds.trajectories[0].torque
     true = true_torques(plant(known.robot, truth), move.positions, move.velocities, move.accelerations)
+    rounding = 1e-9 * np.abs(true).max()  # joint 1 is vertical: at rest its torque is known to be zero, and its band has no width
     print("control", flush=True)
     controllers, curves = control(bounds, known, truth)
     print("accuracy", flush=True)
@@ -189,9 +191,10 @@ def study(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
             "parameters": len(bounds.values), "rho": bounds.rho, "rho_V": bounds.ellipsoid, "effort_ratio": bounds.effort_ratio,
             "distance": bounds.region.distance(exact), "in_box": bounds.region.in_box(exact),
             "norm": float(np.linalg.norm(exact - bounds.values)), "prior_driven": int(bounds.region.prior_driven.sum()),
-            "band_holds": bool(np.all((true >= band.low) & (true <= band.high))), "band_factor": band.factor,
-            "half_band": (band.factor * band.std).max(axis=0).tolist(), "largest_torque": np.abs(true).max(axis=0).tolist(),
-            "extrapolation": band.extrapolation.tolist(), "warnings": list(bounds.warnings),
+            "band_holds": bool(np.all((true >= band.low - rounding) & (true <= band.high + rounding))),
+            "band_factor": band.factor, "half_band": (band.factor * band.std).max(axis=0).tolist(),
+            "largest_torque": np.abs(true).max(axis=0).tolist(), "extrapolation": band.extrapolation.tolist(),
+            "warnings": list(bounds.warnings),
         },
         "workspace": workspace(bounds, known, truth), "control": controllers,
     }  # fmt: skip
