@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.report_pages import undraw
+
 # The same examples on every run, and no time limit: machines are noisy.
 settings.register_profile("bayesid", derandomize=True, deadline=None)
 settings.load_profile("bayesid")
@@ -52,5 +54,5 @@ def shared():
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Figures of reports are laid out but not drawn, which takes most of a page's time: where nothing looks at them."""
-    monkeypatch.setattr("bayesid.report.figures.to_svg", lambda figure, name: f"<svg><text>{name}</text></svg>")
+    """`tests.report_pages.undraw` for a test."""
+    undraw(monkeypatch)

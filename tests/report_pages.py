@@ -48,3 +48,8 @@ def read(html: str) -> Page:
     assert "nan" not in page.text.replace("nances", "").lower().split() and "None" not in page.text
     assert len(html) < 2e6
     return page
+
+
+def undraw(monkeypatch) -> None:
+    """Figures of reports are laid out but not drawn, which takes most of a page's time: where nothing looks at them."""
+    monkeypatch.setattr("bayesid.report.figures.to_svg", lambda figure, name: f"<svg><text>{name}</text></svg>")

@@ -17,10 +17,8 @@ from bayesid.errors import EstimationError, InputError
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.writer import write_experiment
 from bayesid.regression import rows
-from bayesid.robot.robot import load_robot
 from bayesid.tasks import cluster, fold, in_task, map_tasks
-from tests.robots import puma560, write
-from tests.simulated import fourier, recording
+from tests.simulated import fourier, puma2, recording
 
 pytest.importorskip("distributed")
 
@@ -34,10 +32,9 @@ def address():
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory) -> Experiment:
-    folder = tmp_path_factory.mktemp("arm")
-    robot = load_robot(write(folder, puma560()))
+    robot = puma2(tmp_path_factory.mktemp("arm"))
     noise = dict(force_std=0.3, torque_std=0.1, resolution=1e-5, offset=0.5)
-    made = [recording(robot, Sensor(), fourier(robot, k, 20.0), seed=k, **noise) for k in (1, 2)]
+    made = [recording(robot, Sensor(), fourier(robot, k, 12.0), seed=k, **noise) for k in (1, 2)]
     motions = Motion("fitted", "identification", made[0]), Motion("unseen", "validation", made[1])
     return Experiment("arm", robot, motions, Sensor(), position_resolution=1e-5, inertia_rel_std=0.3)
 

@@ -284,20 +284,23 @@ def recorded(folder: Path) -> Experiment:
     return Experiment("my-arm", bayesid.load_robot(urdf), tuple(motions), sensor=bayesid.Sensor())
 
 
+def section(title: str, experiment: Experiment, folder: Path) -> str:
+    """A section of the page, every mistake of it made."""
+    parts = [f"## {title}\n"]
+    for k, row in enumerate(ROWS[title]):
+        place = folder / f"{title} {k}"
+        place.mkdir()
+        said = printed(row, experiment, place)
+        parts.append(f"**{row.symptom}.** {row.cause}. `bayesid {row.command.split()[0]}`:\n\n> {said}\n")
+        parts.append(f"Remedy: {row.remedy}.\n")
+    return "\n".join(parts)
+
+
 def page() -> str:
     """The page, every mistake made."""
-    parts = [_HEAD]
     with tempfile.TemporaryDirectory() as name:
         experiment = recorded(Path(name))
-        for title, rows in ROWS.items():
-            parts.append(f"## {title}\n")
-            for k, row in enumerate(rows):
-                folder = Path(name) / f"{title} {k}"
-                folder.mkdir()
-                said = printed(row, experiment, folder)
-                parts.append(f"**{row.symptom}.** {row.cause}. `bayesid {row.command.split()[0]}`:\n\n> {said}\n")
-                parts.append(f"Remedy: {row.remedy}.\n")
-    return "\n".join(parts)
+        return "\n".join([_HEAD, *(section(title, experiment, Path(name)) for title in ROWS)])
 
 
 if __name__ == "__main__":

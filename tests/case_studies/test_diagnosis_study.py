@@ -29,6 +29,7 @@ def test_every_figure_is_there_and_shown(study):
         assert f"({name}.png)" in text
 
 
+@pytest.mark.slow
 def test_the_hose_is_found_and_the_base_parameters_put_right(study, results):
     found = study.plain(study.hose())
     assert found["verdict"] == "named" and found["named"] == ["tether@joint2"]

@@ -68,7 +68,7 @@ class Spring:
         return least_squares(self.left, start, bounds=(low, high), x_scale="jac", args=(mass,), max_nfev=200).x
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_ends_of_the_interval_are_where_an_independent_model_contradicts(tmp_path, seed: int) -> None:
     made = recorded(tmp_path, 24, seed)
     result = bayesid.payload(made)

@@ -70,6 +70,13 @@ def record(plant, tmp_path_factory):
     return make
 
 
+@pytest.fixture(scope="module")
+def tilted(record):
+    """A diagnosed recording of the sensor's wrench with a tilted base, its folder and its answer."""
+    folder, answer = record("tilted", "single", ["base_tilt"], "wrench", seed=9)
+    return diagnose(folder, "wrench"), folder, answer
+
+
 def made(folder, channel, seed=0):
     """The data and the nuisance of its links."""
     data = prepare_data(load_experiment(folder), channel, (), None, seed)
@@ -80,10 +87,13 @@ def made(folder, channel, seed=0):
     ("effect", "channel"),
     [("sensor_delay", "wrench"), ("base_tilt", "wrench"), ("coulomb_friction", "torque"), ("torque_ripple", "torque")],
 )
-def test_one_hidden_effect_is_named_and_measured(record, effect, channel):
+def test_one_hidden_effect_is_named_and_measured(record, request, effect, channel):
     """Name, place, values within four standard deviations, and the gap on the unseen motions is closed."""
-    folder, answer = record(f"single-{effect}", "single", [effect], channel)
-    found = diagnose(folder, channel)
+    if effect == "base_tilt":
+        found, _, answer = request.getfixturevalue("tilted")
+    else:
+        folder, answer = record(f"single-{effect}", "single", [effect], channel)
+        found = diagnose(folder, channel)
     assert found.verdict == "named"
     assert [(f.term.effect.name, f.term.effect.where) for f in found.found] == [(effect, answer["effects"][0]["where"])]
     said = found.to_dict()["effects"][0]["parameters"]
@@ -131,16 +141,17 @@ def test_an_unmodelled_effect_is_unknown(record):
     assert "no effect of the library" in " ".join(found.remarks)
 
 
-def test_nothing_is_named_where_nothing_is_hidden_but_a_naive_noise_names_often(record, monkeypatch):
+@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
+def test_nothing_is_named_where_nothing_is_hidden_but_a_naive_noise_names_often(record, monkeypatch, count):
     """Whitened residuals have unit size and nothing is named; without the encoders' share of the noise, names abound."""
-    folders = [record(f"none-{k}", "none", [], "wrench", trust=0.0, seed=20 + k)[0] for k in range(4)]
+    folders = [record(f"none-{k}", "none", [], "wrench", trust=0.0, seed=20 + k)[0] for k in range(count)]
     honest = [diagnose(f, "wrench") for f in folders]
-    assert [d.verdict for d in honest] == ["nothing_missing"] * 4
+    assert [d.verdict for d in honest] == ["nothing_missing"] * count
     for d in honest:
         assert d.search.base.chi2 / d.search.projector.rows == pytest.approx(1.0, abs=0.3)
     monkeypatch.setattr(encoders, "ROUNDINGS", 0)
     naive = [search.search(made(f, "wrench")[1], (), 0, lambda _: None) for f in folders]
-    assert sum(s.base.chi2 / s.projector.rows > 1.5 or bool(s.found) for s in naive) >= 2
+    assert sum(s.base.chi2 / s.projector.rows > 1.5 or bool(s.found) for s in naive) >= count // 2
 
 
 def test_a_placebo_explains_nothing(record):
@@ -209,9 +220,9 @@ def test_a_contact_is_left_out_of_other_motions(record):
     assert not any(active_terms(s, [Term(effect, once.values)]) for s in data.unseen)
 
 
-def test_a_value_inside_its_interval_is_not_named(record):
+def test_a_value_inside_its_interval_is_not_named(tilted):
     """However much worse the fit without it."""
-    folder, _ = record("inside", "single", ["base_tilt"], "wrench", seed=9)
+    found, folder, _ = tilted
     data, nuisance = made(folder, "wrench")
     best = fit.fit(nuisance, (Term(data.places("base_tilt")[0], (0.0, 0.0)),))
     squared = distance(best, 0)[0]
@@ -220,16 +231,15 @@ def test_a_value_inside_its_interval_is_not_named(record):
     )
     interval = squared / chi2.ppf(DEFAULT.interval, 2)  # that much more dispersion, and the values stay inside
     assert differs_from_zero(best, 0, 0.99 * interval) and not differs_from_zero(best, 0, 1.01 * interval)
-    found = diagnose(folder).search
+    found = found.search
     assert certain(found) is found
     none = certain(replace(found, dispersion=1e3 * interval))
     assert none.found == () and none.best is found.base
 
 
-def test_a_rival_that_differs_from_zero_takes_the_place_of_an_effect_that_does_not(record):
+def test_a_rival_that_differs_from_zero_takes_the_place_of_an_effect_that_does_not(tilted):
     """And the others of the model stay."""
-    folder, _ = record("instead", "single", ["base_tilt"], "wrench", seed=9)
-    found = diagnose(folder).search
+    found = tilted[0].search
     (tilt,), data = found.found, found.best.projector.data
     gain = Term(next(e for e in data.places("sensor_gain") if e.where == "fz"), (0.0,))
     vague = fit.fit(found.best.projector, (gain,), found.base)
@@ -248,9 +258,9 @@ def test_a_rival_that_differs_from_zero_takes_the_place_of_an_effect_that_does_n
         pytest.param("17", "named", {"base_compliance@base"}, marks=pytest.mark.slow),
         ("18", "named", {"rotor_inertia@joint2"}),
         pytest.param("19", "named", {"joint_flexibility@joint3"}, marks=pytest.mark.slow),
-        ("20", "named", {"dahl_friction@joint2"}),
+        pytest.param("20", "named", {"dahl_friction@joint2"}, marks=pytest.mark.slow),
         ("21", "nothing_missing", set()),
-        ("22", "unknown", set()),
+        pytest.param("22", "unknown", set(), marks=pytest.mark.slow),
     ],
 )
 def test_recordings_of_an_independent_engine_that_once_went_wrong(shared, case, verdict, effects):

@@ -1,23 +1,34 @@
 """docs/notebooks run, cell by cell, and show what their text says."""
 
 import re
+import shutil
 from pathlib import Path
 
 import matplotlib
 import pytest
 
+import bayesid
 from tests.docs.notebook import Notebook
 
 FOLDER = Path(__file__).parents[2] / "docs" / "notebooks"
 _CELL = re.compile(r"^```\{code-cell\} python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    """The demo's folder, which every page begins with."""
+    folder = tmp_path_factory.mktemp("made") / "demo"
+    bayesid.demo(folder)
+    return folder
+
+
 @pytest.fixture
-def run(tmp_path, monkeypatch):
+def run(demo, tmp_path, monkeypatch):
     """Run a page; its names."""
 
     def names(page: str) -> dict:
         monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(bayesid, "demo", lambda out: shutil.copytree(demo, out))
         matplotlib.use("Agg")
         notebook = Notebook(tmp_path)
         for code in _CELL.findall((FOLDER / f"{page}.md").read_text(encoding="utf-8")):
@@ -45,6 +56,7 @@ def test_for_the_controller(run, tmp_path):
     assert (tmp_path / "for-the-controller" / "bounds.mat").exists() and (tmp_path / "code" / "inverse_dynamics.hpp").exists()
 
 
+@pytest.mark.slow  # tests/diagnosis finds hidden friction as well
 def test_missing_effect(run):
     scope = run("missing-effect")
     hidden = {f"{name}@joint{k}" for name in ("stribeck_friction", "load_friction") for k in (1, 2)}

@@ -47,6 +47,15 @@ def pages_with(language: str) -> list[str]:
     return [name for name, page in BY_NAME.items() if snippets(page, language)]
 
 
+def tried(language: str) -> list:
+    """The same, as parameters of a test."""
+    return [pytest.param(name, marks=pytest.mark.slow if LONG.get(name) == language else ()) for name in pages_with(language)]
+
+
+#: Pages that say the same in Python and as command lines, and the longer of the two.
+LONG = {"docs/howto/accuracy.md": "python", "docs/howto/large.md": "console"}
+
+
 @pytest.fixture(scope="module")
 def my_arm(tmp_path_factory) -> Path:
     """A folder that holds ``my-arm``, a small experiment with all that the pages use."""
@@ -57,7 +66,7 @@ def my_arm(tmp_path_factory) -> Path:
     noise = dict(force_std=0.5, torque_std=0.05, resolution=1e-4)
 
     def motion(name: str, role, seed: int) -> Motion:
-        path = fourier(robot, seed, duration=12.0)
+        path = fourier(robot, seed, duration=8.0)
         still = recording(robot, sensor, path, seed=seed + 10, static=True, **noise)
         return Motion(name, role, recording(robot, sensor, path, seed=seed, **noise), static=still)
 
@@ -92,7 +101,7 @@ def _write_logs(folder: Path, motions: list[Motion]) -> None:
     pd.DataFrame(columns).to_csv(folder / "log.csv", index=False)
 
 
-@pytest.mark.parametrize("name", pages_with("python"))
+@pytest.mark.parametrize("name", tried("python"))
 def test_python_blocks_run_as_cells_of_a_notebook(name, my_arm, tmp_path, monkeypatch):
     """Each page's blocks run one after the other, and whatever they draw is in the notebook."""
     monkeypatch.chdir(my_arm)
@@ -140,8 +149,14 @@ def _own_effect_was_found(scope: dict, written: Path) -> None:
     assert "oval_shaft" not in EffectLibrary().classes  # the experiment's library knows it, nothing else
 
 
-@pytest.mark.parametrize("name", pages_with("console"))
-def test_command_lines_run(name, my_arm, monkeypatch, capsys, request):
+@pytest.fixture(scope="module")
+def lines_run() -> set[str]:
+    """Command lines that another page has run already, beside the same recording."""
+    return set()
+
+
+@pytest.mark.parametrize("name", tried("console"))
+def test_command_lines_run(name, my_arm, lines_run, monkeypatch, capsys, request):
     """Each page's calls of bayesid end well; those of the README, which are of all verbs, with their figures."""
     monkeypatch.chdir(my_arm)
     if name != README.name:
@@ -149,6 +164,9 @@ def test_command_lines_run(name, my_arm, monkeypatch, capsys, request):
     lines = [line for code in snippets(BY_NAME[name], "console") for line in code.splitlines()]
     for line in lines:
         words = shlex.split(line.removeprefix("$ "))
+        if line in lines_run:
+            continue
+        lines_run.add(line)
         if words[0] == "bayesid":
             assert main(words[1:]) == 0, f"{line}: {capsys.readouterr().err}"
         else:
@@ -261,15 +279,41 @@ def test_effects_page_is_made_from_the_classes():
     assert not {name for name in EffectLibrary().classes if f"| `{name}` |" not in made}
 
 
-def test_mistakes_of_the_page_look_as_it_says(undrawn):
+WHAT_GOES_WRONG = runpy.run_path(str(DOCS / "howto" / "what_goes_wrong.py"))
+#: Sections of what-goes-wrong.md that take long to make; what they show, tests of `check` and `diagnose` show as well.
+LONG_SECTIONS = ("Signs, orders, units and frames", "The model lacks something")
+
+
+@pytest.fixture(scope="module")
+def without_mistake(tmp_path_factory):
+    """The recording that the mistakes of the page are made on."""
+    return WHAT_GOES_WRONG["recorded"](tmp_path_factory.mktemp("right"))
+
+
+@pytest.mark.parametrize(
+    "title", [pytest.param(t, marks=pytest.mark.slow if t in LONG_SECTIONS else ()) for t in WHAT_GOES_WRONG["ROWS"]]
+)
+def test_mistakes_of_the_page_look_as_it_says(title, without_mistake, tmp_path, undrawn):
     """docs/howto/what-goes-wrong.md is what docs/howto/what_goes_wrong.py makes, but for digits: every mistake is made here."""
 
     def words(text: str) -> list[str]:
         return re.sub(r"[-−]?\d[\d.e+]*", "#", text).split()
 
-    made = runpy.run_path(str(DOCS / "howto" / "what_goes_wrong.py"))["page"]()
-    shown = BY_NAME["docs/howto/what-goes-wrong.md"].read_text(encoding="utf-8")
+    made = WHAT_GOES_WRONG["section"](title, without_mistake, tmp_path)
+    page = BY_NAME["docs/howto/what-goes-wrong.md"].read_text(encoding="utf-8")
+    (shown,) = re.findall(rf"^## {title}\n.*?(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
     assert words(made) == words(shown), "run python docs/howto/what_goes_wrong.py"
+
+
+def test_the_page_of_mistakes_has_them_all():
+    """Titles, symptoms, causes and remedies stand on it in the order of docs/howto/what_goes_wrong.py, below its introduction."""
+    page = BY_NAME["docs/howto/what-goes-wrong.md"].read_text(encoding="utf-8")
+    assert page.startswith(WHAT_GOES_WRONG["_HEAD"])
+    assert re.findall(r"^## (.*)$", page, re.MULTILINE) == list(WHAT_GOES_WRONG["ROWS"])
+    rows = [row for section in WHAT_GOES_WRONG["ROWS"].values() for row in section]
+    begun = [f"**{row.symptom}.** {row.cause}. `bayesid {row.command.split()[0]}`:" for row in rows]
+    assert re.findall(r"^\*\*.*$", page, re.MULTILINE) == begun
+    assert re.findall(r"^Remedy: (.*)\.$", page, re.MULTILINE) == [row.remedy for row in rows]
 
 
 def test_constraints_are_pins_without_addresses():

@@ -123,8 +123,8 @@ def certify(panda, seed, count):
     return several
 
 
-def test_hundreds_of_random_problems_are_all_certified(panda):
-    assert certify(panda, 77, 400) > 160
+def test_random_problems_are_all_certified(panda):
+    assert certify(panda, 77, 150) > 60
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from tests.fuzz.arena import Worker, complaints, fresh, write_arm
 from tests.fuzz.cases import Case, cases
 
-FEW, MANY = 50, 10_000
+FEW, MANY = 25, 10_000
 #: The many in so many parts, each of which can be run alone: they take hours.
 PARTS = 50
 

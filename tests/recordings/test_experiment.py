@@ -279,7 +279,7 @@ def robot_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_good(tmp_path_factory.mktemp("source") / "arm")
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(data=st.data())
 def test_an_experiment_survives_its_folder(data: st.DataObject, robot_folder: Path) -> None:
     written = data.draw(experiments(robot_folder))

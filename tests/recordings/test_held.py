@@ -97,10 +97,12 @@ HELD = {
     "09-log-oddities/tau-held-8Hz": ("tau6, tau7: new only every 12 rows (8.33 Hz", ("torque",)),
     "09-log-oddities/tau4-held-8Hz": ("column tau4: new only every 12 rows (8.33 Hz", ("torque",)),
 }
+#: Of each log, the second way to hold columns of it.
+BESIDE = {"11-log-1kHz-position-40Hz/q-and-v-held", "09-log-oddities/tau-held-8Hz"}
 
 
 @pytest.mark.skipif(not WILD.is_dir(), reason=f"no recordings under {WILD}; set BAYESID_DATA")
-@pytest.mark.parametrize("name", list(HELD))
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in BESIDE else ()) for name in HELD])
 def test_held_recordings_are_told_and_the_remedy_improves_what_is_predicted(name: str) -> None:
     experiment = load_experiment(WILD / name)
     says, silences = HELD[name]

@@ -97,9 +97,10 @@ def test_noise_that_is_stated_counts_where_filtered_positions_show_less_of_it(tm
     motion = [fourier_trajectory(robot, duration=16.0, rate=200.0, fundamental=0.5, seed=3)]
     truth, options = robot.nominal.ravel(), FitOptions("wrench", bandwidth=10.0)
 
-    def fitted(stated: float | None, filtered: bool, seed: int):
-        recorder = bayesid.Recorder(resolution=0.0, force_std=0.1, torque_std=0.01, position_std=noise)
-        made = bayesid.simulate(experiment(robot, [], Sensor()), motion, recorder=recorder, seed=seed)
+    recorder = bayesid.Recorder(resolution=0.0, force_std=0.1, torque_std=0.01, position_std=noise)
+    simulated = [bayesid.simulate(experiment(robot, [], Sensor()), motion, recorder=recorder, seed=seed) for seed in range(8)]
+
+    def fitted(stated: float | None, filtered: bool, made):
         (recorded,) = made.motions
         if filtered:
             read = sosfiltfilt(low_pass, recorded.table.positions, axis=0)
@@ -109,7 +110,7 @@ def test_noise_that_is_stated_counts_where_filtered_positions_show_less_of_it(tm
         return estimate, (estimate.values - estimate.base.matrix @ truth) / estimate.std
 
     runs = {
-        case: [fitted(*case, seed) for seed in range(8)] for case in ((None, False), (None, True), (noise, True), (noise, False))
+        case: [fitted(*case, made) for made in simulated] for case in ((None, False), (None, True), (noise, True), (noise, False))
     }
     std = {case: np.median([e.std for e, _ in found], axis=0) for case, found in runs.items()}
     encoder = {case: np.mean([e.details.encoder_std for e, _ in found]) for case, found in runs.items()}

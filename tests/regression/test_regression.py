@@ -39,7 +39,15 @@ def test_noise_free_puma_predicts_another_motion(l, d, tmp_path):
     assert prediction.nrmse.max() < 2e-4 and prediction.nrmse_raw.max() < 2e-4
 
 
-@pytest.mark.parametrize("text", [ur5(), panda(), prismatic_arm(), tree()], ids=["ur5", "panda", "prismatic", "tree"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param(ur5(), id="ur5"),
+        pytest.param(panda(), id="panda", marks=pytest.mark.slow),  # one more revolute joint than the UR5
+        pytest.param(prismatic_arm(), id="prismatic"),
+        pytest.param(tree(), id="tree"),
+    ],
+)
 @pytest.mark.parametrize("channel", ["wrench", "torque", "both"])
 @pytest.mark.parametrize("filters", [None, LowPass(2.0, 50.0)], ids=["direct", "filtered"])
 def test_noise_free_rows_give_the_true_parameters(text, channel, filters, tmp_path):

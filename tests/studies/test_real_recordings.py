@@ -1,5 +1,7 @@
 """What identify says about real robots, beside the figures that others published for the same logs."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,12 @@ from bayesid.workflows.sample import as_estimate
 from tests.studies.real_robots import Case, apart, estimate, halves
 
 FRICTION = ["viscous_friction", "coulomb_friction", "torque_offset"]
+
+
+@pytest.fixture(scope="module")
+def rubbing(shared):
+    """What is identified of a real arm by name, friction included; of each once."""
+    return cache(lambda name: bayesid.identify(shared(name), effects=FRICTION))
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +59,8 @@ def test_repeats_of_a_wrist_motion_agree_within_their_intervals(shared):
 @pytest.mark.parametrize(
     "name, published_fit, published_validation", [("data/ur10", 0.065, 0.091), ("data/kuka-lwr4", 0.022, 0.144)]
 )
-def test_joint_torques_are_predicted_as_well_as_published(shared, name, published_fit, published_validation):
-    result = bayesid.identify(shared(name), effects=FRICTION)
+def test_joint_torques_are_predicted_as_well_as_published(rubbing, name, published_fit, published_validation):
+    result = rubbing(name)
     assert result.fitted[0].relative_error_raw < published_fit
     assert result.validation[0].relative_error_raw < published_validation
     # The published validations are no proof that the model is complete, and neither is this one.
@@ -92,8 +100,8 @@ def test_a_wrist_that_wanders_more_than_the_arm_is_counted_by_itself(shared, met
     assert distance is not None and distance[0] < 1.3
 
 
-def test_what_scatters_is_told_by_channel(shared):
-    result = bayesid.identify(shared("data/ur10"), effects=FRICTION)
+def test_what_scatters_is_told_by_channel(rubbing):
+    result = rubbing("data/ur10")
     by_channel = result.estimate.details.dispersion_by_channel
     assert by_channel is not None and set(by_channel) == {f"tau{k}" for k in range(1, 7)}
     assert result.to_dict()["details"]["dispersion_by_channel"] == by_channel
@@ -101,7 +109,7 @@ def test_what_scatters_is_told_by_channel(shared):
     assert any("Something is missing" in w and f"most in {largest}" in w for w in result.warnings)
 
 
-def test_a_repeated_motion_is_not_called_a_validation(shared):
+def test_a_repeated_motion_is_not_called_a_validation(shared, rubbing):
     from dataclasses import replace
 
     experiment = bayesid.load_experiment(shared("data/kuka-lwr4"))
@@ -110,4 +118,4 @@ def test_a_repeated_motion_is_not_called_a_validation(shared):
     result = bayesid.identify(replace(experiment, motions=(first, again)), effects=FRICTION)
     assert result.validation[0].repeats == "measurements_1"
     assert any("repeats the fitted motion" in w for w in result.warnings)
-    assert bayesid.identify(experiment, effects=FRICTION).validation[0].repeats is None
+    assert rubbing("data/kuka-lwr4").validation[0].repeats is None
