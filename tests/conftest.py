@@ -1,5 +1,6 @@
 """Recordings that are not part of the repository are found through BAYESID_DATA."""
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -38,6 +39,11 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: place.get(item.path.name, len(place)))
 
 
+def pytest_collection_finish():
+    """What collecting has made stays to the end: garbage collections need not look at it each time."""
+    gc.freeze()
+
+
 @pytest.fixture(scope="session")
 def shared():
     """Path of a file or folder below BAYESID_DATA; skips where it is absent."""
@@ -52,7 +58,16 @@ def shared():
     return find
 
 
+@pytest.fixture(scope="module", autouse=True)
+def undrawn_unless_looked_at(request):
+    """Figures of reports are not drawn in a module that does not say ``LOOKS_AT_FIGURES = True``."""
+    with pytest.MonkeyPatch.context() as patch:
+        if not getattr(request.module, "LOOKS_AT_FIGURES", False):
+            undraw(patch)
+        yield
+
+
 @pytest.fixture
 def undrawn(monkeypatch):
-    """`tests.report_pages.undraw` for a test."""
+    """For a test, in a module that looks at figures."""
     undraw(monkeypatch)

@@ -58,7 +58,7 @@ def listed_pairs(pairs: tuple[RivalPair, ...]) -> str:
 
 def chance(probability: float) -> str:
     """A probability from draws as per cent, never quite certain."""
-    return "over 99 %" if probability > 0.99 else "under 1 %" if probability < 0.01 else percent(round(probability, 2))
+    return "over 99 %" if probability > 0.99 else "under 1 %" if probability < 0.01 else percent(probability, 2)
 
 
 def pair_table(telling: Telling) -> ShownTable:

@@ -82,7 +82,7 @@ def test_what_no_effect_explains_is_described(found):
     assert "hose" in d.causes[0][0]
 
 
-def test_the_draft_closes_the_gap_that_it_promises_when_identify_uses_it(found, tmp_path, request):
+def test_the_draft_closes_the_gap_that_it_promises_when_identify_uses_it(found, tmp_path):
     """The file beside the report goes into ``--effects-from`` and ``--model``; unseen motions are then predicted to the noise."""
     folder, out = tmp_path / "arm", tmp_path / "diagnosed"
     bayesid.write_experiment(found.data.experiment, folder)
@@ -94,8 +94,6 @@ def test_the_draft_closes_the_gap_that_it_promises_when_identify_uses_it(found, 
     assert effects == ("draft@joint2",)
     assert values["draft@joint2"]["c1"] == pytest.approx(found.description.term.values[0])
     assert list(formulas) == ["draft"]
-
-    request.getfixturevalue("undrawn")
 
     def left(*options):
         result = tmp_path / f"fit-{len(list(tmp_path.iterdir()))}"

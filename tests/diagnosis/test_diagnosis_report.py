@@ -164,7 +164,7 @@ def test_with_the_model_nothing_is_missing(named, written, robot):
 # ---- command line ----------------------------------------------------------------------------------------------------
 
 
-def test_the_command_and_identify_with_its_model(folder, tmp_path, capsys, undrawn):
+def test_the_command_and_identify_with_its_model(folder, tmp_path, capsys):
     assert main(["diagnose", str(folder), "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr()
     assert printed.err == ""
@@ -257,7 +257,7 @@ def test_the_page_of_nothing(clean, tmp_path):
     assert "What it is" not in text and "What it did" not in text
 
 
-def test_the_page_of_two_names(named, tmp_path, undrawn):
+def test_the_page_of_two_names(named, tmp_path):
     text = text_of(page_of(ambiguous(named), tmp_path / "out"))
     assert "Or, just as well: sensor_crosstalk@my->mx" in text and "loses only 1.5: too little to decide" in text
     assert "Move faster." in text
@@ -265,7 +265,7 @@ def test_the_page_of_two_names(named, tmp_path, undrawn):
     assert given == [{"name": "sensor_crosstalk", "where": "my->mx"}]
 
 
-def test_the_page_of_a_stranger(named, tmp_path, undrawn):
+def test_the_page_of_a_stranger(named, tmp_path):
     text = text_of(page_of(unknown(named), tmp_path / "out"))
     for part in ("Something is missing, and no effect of the library explains it", "the best attempt was sensor_gain@mx",
                  "The floor is a guess."):  # fmt: skip
@@ -274,7 +274,7 @@ def test_the_page_of_a_stranger(named, tmp_path, undrawn):
     assert tomllib.loads((tmp_path / "out" / "model.toml").read_text(encoding="utf-8")) == {"model": {"effects": []}}
 
 
-def test_the_page_without_validation(robot, tmp_path, undrawn):
+def test_the_page_without_validation(robot, tmp_path):
     diagnosis = bayesid.diagnose(made(robot, GAIN, ["identification"]))
     assert diagnosis.gap is None
     text = text_of(page_of(diagnosis, tmp_path / "out"))

@@ -26,6 +26,8 @@ from tests.docs.notebook import Notebook
 from tests.recordings.importing.logs import START, Bag
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
+#: The README's command lines are of all verbs: their reports are drawn.
+LOOKS_AT_FIGURES = True
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 DOCS = ROOT / "docs"

@@ -77,7 +77,7 @@ def test_an_effect_that_takes_the_load_has_to_say_so(tmp_path):
     assert bayesid.simulate(setup, motions, effects=["cubic_spring"]).truth.effects["cubic_spring@joint1"] == {"k": 2.0}
 
 
-def test_every_verb_takes_the_file(tmp_path, capsys, undrawn):
+def test_every_verb_takes_the_file(tmp_path, capsys):
     (path := tmp_path / "mine.py").write_text(GOOD)
     (tmp_path / "puma").mkdir()
     setup = puma_setup(tmp_path / "puma")

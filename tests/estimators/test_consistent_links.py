@@ -148,7 +148,7 @@ def test_estimates_without_covariance_are_held_by_their_predictions(tmp_path):
     assert np.mean(ratios[1] / ratios[0]) < 1.0 + 1.2 * LARGEST_LOSS
 
 
-def test_command_line_writes_unconstrained_links_beside_the_others(tmp_path, capsys, undrawn):
+def test_command_line_writes_unconstrained_links_beside_the_others(tmp_path, capsys):
     _, _, made = simulated(tmp_path, duration=8.0)
     bayesid.write_experiment(made, tmp_path / "arm")
     out = tmp_path / "out"

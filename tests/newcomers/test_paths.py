@@ -23,7 +23,7 @@ def logs(tmp_path_factory):
 
 
 @pytest.fixture
-def desk(tmp_path, monkeypatch, undrawn):
+def desk(tmp_path, monkeypatch):
     """A folder with the URDF, in which the newcomer sits; the base parameters are those of ``real``."""
     monkeypatch.chdir(tmp_path)
     return files.robot(tmp_path)

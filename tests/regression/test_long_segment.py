@@ -27,7 +27,7 @@ def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("long")
     robot = puma2(folder)
     noise = dict(force_std=0.3, torque_std=0.1, resolution=1e-5, offset=0.5)
-    table = recording(robot, Sensor(), fourier(robot, 1, 300.0), seed=1, **noise)
+    table = recording(robot, Sensor(), fourier(robot, 3, 300.0), seed=1, **noise)
     table = table[np.r_[:30_000, 30_100 : len(table)]]
     unseen = recording(robot, Sensor(), fourier(robot, 2, 20.0), seed=2, **noise)
     motions = (Motion("long", "identification", table), Motion("unseen", "validation", unseen))

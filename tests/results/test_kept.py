@@ -14,7 +14,6 @@ import pytest
 
 import bayesid
 from bayesid.results.files import strict
-from tests.report_pages import undraw
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))
@@ -123,7 +122,7 @@ def test_a_result_is_pickled_copied_and_sent(results, kind):
         assert_same(said(result), said(back))
 
 
-def test_an_unpickled_or_loaded_result_finds_its_figures_in_a_process_that_ran_no_verb(results, tmp_path, undrawn):
+def test_an_unpickled_or_loaded_result_finds_its_figures_in_a_process_that_ran_no_verb(results, tmp_path):
     (tmp_path / "changes").write_bytes(pickle.dumps(results["changes"]))
     results["identification"].write(tmp_path / "out")
     script = "import bayesid, pickle, pathlib, sys; here = pathlib.Path(sys.argv[1]); bayesid.load(here / 'out').plot(); "
@@ -145,12 +144,10 @@ NUMBERS = ("names", "values", "std", "low", "high", "covariance", "link_paramete
 def loaded(results, tmp_path_factory):
     """Every result, written and read back from its folder."""
     out = {}
-    with pytest.MonkeyPatch.context() as patch:
-        undraw(patch)
-        for kind in WRITTEN:
-            folder = tmp_path_factory.mktemp("out") / kind
-            results[kind].write(folder)
-            out[kind] = bayesid.load(folder)
+    for kind in WRITTEN:
+        folder = tmp_path_factory.mktemp("out") / kind
+        results[kind].write(folder)
+        out[kind] = bayesid.load(folder)
     return out
 
 
@@ -250,7 +247,7 @@ def drawn(figure):
     return [line.get_xydata().tolist() for ax in figure.axes for line in ax.lines]
 
 
-def test_identified_urdf_is_the_same_robot_whichever_verb_writes_it(results, loaded, arm, tmp_path, undrawn):
+def test_identified_urdf_is_the_same_robot_whichever_verb_writes_it(results, loaded, arm, tmp_path):
     """Of the estimate, of bounds around it, and of bounds by its files; of the posterior, and of bounds around that."""
 
     def written(result, name):

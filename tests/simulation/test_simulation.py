@@ -260,7 +260,7 @@ def test_simulate_verb_refuses(folder, tmp_path, capsys, options):
     assert not (tmp_path / "no").exists()
 
 
-def test_demo_verb(tmp_path, capsys, undrawn):
+def test_demo_verb(tmp_path, capsys):
     out = tmp_path / "demo"
     assert main(["demo", "--out", str(out), "--seed", "1"]) == 0
     shown = capsys.readouterr().out

@@ -46,10 +46,8 @@ def folder(arm, runs):
     """The folder of the experiment with their files and a planned motion beside it."""
     place = runs["estimate"].problem.experiment.folder.parent
     bayesid.write_trajectory(bayesid.fourier_trajectory(arm[0].robot, duration=2.0, fundamental=0.5), place / "move.csv")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bayesid.report.figures.to_svg", lambda figure, name: "<svg></svg>")
-        for name, run in runs.items():
-            run.write(place / name)
+    for name, run in runs.items():
+        run.write(place / name)
     return place
 
 
@@ -141,7 +139,7 @@ def test_robust_control_stays_within_its_bound(arm, identified):
         assert np.all((worst > 0.0) & (worst <= bound))
 
 
-def test_files_hold_what_was_found(arm, runs, tmp_path, undrawn):
+def test_files_hold_what_was_found(arm, runs, tmp_path):
     result = bayesid.bounds(runs["estimate"], urdfs=2, configurations=32)
     result.write(tmp_path / "out")
     document = json.loads((tmp_path / "out" / "bounds.json").read_text(encoding="utf-8"))
@@ -232,7 +230,7 @@ def test_bad_input_is_one_line_and_exit_status_two(folder, runs, capsys, tmp_pat
         bayesid.bounds(runs["estimate"], method="wls")
 
 
-def test_the_command_line_writes_all_files(folder, capsys, tmp_path, undrawn):
+def test_the_command_line_writes_all_files(folder, capsys, tmp_path):
     out = tmp_path / "out"
     options = ["--estimate", str(folder / "estimate"), "--trajectory", str(folder / "move.csv"), "--configurations", "16"]
     assert main(["bounds", str(folder / "arm"), *options, "--urdfs", "1", "--out", str(out)]) == 0

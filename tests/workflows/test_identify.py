@@ -184,7 +184,7 @@ def test_static_run_is_reported_both_ways(tmp_path):
     assert np.mean(found.static_alternative.std[:12]) < np.mean(found.std)
 
 
-def test_command_line_writes_all_or_nothing(arm, tmp_path, capsys, undrawn):
+def test_command_line_writes_all_or_nothing(arm, tmp_path, capsys):
     folder = tmp_path / "arm"
     bayesid.write_experiment(arm, folder)
     out = tmp_path / "out"

@@ -40,7 +40,6 @@ def results(tmp_path_factory):
     own, later = arm(("sensor_offset",)), arm(("sensor_offset",), heavier.ravel())
     rubbing, effect = arm(friction=2.0), "viscous_friction@joint1"
     found = bayesid.identify(own)
-    quick = bayesid.ExcitationOptions(duration=6.0, starts=1, randoms=3, seconds=0.2, rate=50.0)
     return dict(
         zip(
             VERBS,
@@ -51,8 +50,7 @@ def results(tmp_path_factory):
                 bayesid.accuracy(found, runs=5), bayesid.diagnose(rubbing, channel="torque"),
                 bayesid.diagnose(later, reference=own), bayesid.bounds(found),
                 bayesid.excite(own, duration=8, period=4, seconds=0.5),
-                bayesid.tell(rubbing, [effect, "coulomb_friction@joint1"], quick, channel="torque"),
-                bayesid.watch(own, [own, later]),
+                bayesid.tell(rubbing, [effect, "coulomb_friction@joint1"], channel="torque"), bayesid.watch(own, [own, later]),
             ),
             strict=True,
         )

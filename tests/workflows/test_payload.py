@@ -328,7 +328,7 @@ def test_what_cannot_be_told_is_refused_in_one_line(tmp_path, wrist):
         bayesid.payload(bayesid.simulate(wrist, poses(wrist.robot), seed=1), diagnosis=False).export("abb")
 
 
-def test_the_command_writes_what_the_function_finds(wrist, tmp_path, capsys, undrawn):
+def test_the_command_writes_what_the_function_finds(wrist, tmp_path, capsys):
     folder, out = tmp_path / "tool", tmp_path / "out"
     bayesid.write_experiment(bayesid.simulate(wrist, poses(wrist.robot), effects=OFFSET, recorder=NOISE, seed=1), folder)
     assert main(["payload", str(folder), "--out", str(out), "--extent", "0.3"]) == 0
