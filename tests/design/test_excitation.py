@@ -90,7 +90,7 @@ def test_bounds_between_samples_hold():
         assert (speed <= 1.1 * np.abs(v).max(axis=0)).all()
 
 
-@pytest.mark.parametrize("name", ["puma560", "panda"])
+@pytest.mark.parametrize("name", ["puma560", pytest.param("panda", marks=pytest.mark.slow)])
 def test_motion_keeps_all_limits_by_pinocchio(name, tmp_path):
     """Joint torques and the base wrench from Pinocchio's own recursion, at ten times the recorded rate."""
     experiment = experiment_of(name, tmp_path)

@@ -106,6 +106,7 @@ def test_one_hidden_effect_is_named_and_measured(record, request, effect, channe
     assert found.gap.closed_low > 0.8
 
 
+@pytest.mark.slow  # four of them: test_diagnosis_input.py
 def test_two_hidden_effects_are_both_named(record):
     """A pair, one at the sensor and one in the gravity it sees."""
     folder, answer = record("pair", "pair", ["sensor_gain", "fluid_drag"], "wrench", seed=3)

@@ -205,7 +205,7 @@ def test_estimates_print_as_text_html_and_json():
     assert estimate.to_dict()["base_parameters"][0]["name"] == "p1"
 
 
-@pytest.mark.parametrize("method", ["ols", "wls", "gls", "huber", "student", "tls", "sdp"])
+@pytest.mark.parametrize("method", ["ols", "wls", "gls", "huber", "student", pytest.param("tls", marks=pytest.mark.slow), "sdp"])
 def test_columns_that_cannot_be_told_apart_make_no_other_surer(method, tmp_path):
     """A rotor at the first joint has the column of a base parameter: the others are known as without it, not better."""
     robot = load_robot(write(tmp_path, panda()))

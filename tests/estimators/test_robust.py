@@ -150,7 +150,7 @@ def test_disturbed_recordings_of_robots(method):
 
 
 @pytest.mark.parametrize("method", ROBUST, ids=lambda m: m.name)
-@pytest.mark.parametrize("colour", [0.0, 0.7])
+@pytest.mark.parametrize("colour", [pytest.param(0.0, marks=pytest.mark.slow), 0.7])
 def test_intervals_cover_on_clean_and_touched_rows_with_colour(method, colour):
     rng = np.random.default_rng(5)
     inside = []

@@ -57,8 +57,8 @@ def test_a_model_that_lacks_something_cannot_call_it_noise(arm):
     wrong = dataclasses.replace(
         arm, motions=tuple(dataclasses.replace(m, table=t) for m, t in zip(arm.motions, tables, strict=True))
     )
-    told = judged(bayesid.identify(wrong).validation[0])
     proven = bayesid.identify(wrong)
+    told = judged(proven.validation[0])
     assert proven.validation[0].whitened_rms > 3.0 and told.mood != "good"
     assert any("is predicted with an error of" in w for w in proven.warnings)
 

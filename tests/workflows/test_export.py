@@ -166,7 +166,9 @@ def test_code_of_both_channels_gives_their_torques(form, tmp_path):
     assert exported.left_out == {form: {}, "urdf": {}}
 
 
-@pytest.mark.parametrize("name", ["kuka-lwr4", "tx40", "ur10e/before"])
+@pytest.mark.parametrize(
+    "name", ["ur10e/before", *(pytest.param(name, marks=pytest.mark.slow) for name in ("kuka-lwr4", "tx40"))]
+)
 def test_code_of_a_real_arm_predicts_as_the_estimate(name, shared, tmp_path):
     """Frames as makers write them, right angles rounded, offsets that only one of two sums shows."""
     made = bayesid.load_experiment(shared(f"data/{name}"))

@@ -49,7 +49,9 @@ def test_nothing_is_said_of_an_arm_without(geared):
     assert not told(bayesid.identify(dataclasses.replace(geared, motions=tuple(motions))))
 
 
-@pytest.mark.parametrize("name", ["before", "feb05-20s-12h", "feb06-20s-5h"])
+@pytest.mark.parametrize(
+    "name", ["before", *(pytest.param(name, marks=pytest.mark.slow) for name in ("feb05-20s-12h", "feb06-20s-5h"))]
+)
 def test_real_arm_without_its_rotors(shared, name):
     experiment = bayesid.load_experiment(shared(f"data/ur10e/{name}"))
     (line,) = told(bayesid.identify(experiment))

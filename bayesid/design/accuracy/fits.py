@@ -91,10 +91,6 @@ class Errors:
         """Errors of the base parameters (runs, r)."""
         return self.columns[:, : self.rank]
 
-    def part(self, rows: np.ndarray) -> Errors:
-        """The errors of some runs."""
-        return Errors(self.columns[rows], self.prediction[rows], self.rank)
-
     @property
     def bias(self) -> np.ndarray:
         """Mean error of the base parameters (r,)."""

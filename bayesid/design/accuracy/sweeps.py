@@ -228,7 +228,7 @@ class Sweeps:
     @property
     def agreement(self) -> float:
         """Median ratio of the simulated standard deviations of the user's own setting to those of the formula; nan without."""
-        return float("nan") if self.formula is None else median_ratio(self.own.std, self.formula)
+        return float("nan") if self.formula is None else float(median_ratio(self.own.std, self.formula))
 
     def improvements(self) -> tuple[tuple[str, Level], ...]:
         """The best advice of each factor, what lowers the median error most first; only those that lower it beyond chance."""
@@ -240,10 +240,13 @@ class Sweeps:
         return tuple(sorted(out, key=lambda pair: pair[1].ratio))
 
 
-def median_ratio(errors: np.ndarray, others: np.ndarray) -> float:
-    """Median of ``errors / others`` (r,) over the parameters that both determine; nan where there is none."""
+def median_ratio(errors: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Median of ``errors / others`` (..., r) over the parameters that both determine; nan where there is none."""
     both = np.isfinite(errors) & np.isfinite(others) & (others > 0.0)
-    return float(np.median(errors[both] / others[both])) if both.any() else float("nan")
+    ratios, some = np.where(both, errors, np.nan) / np.where(both, others, 1.0), both.any(axis=-1)
+    out = np.full(both.shape[:-1], np.nan)
+    out[some] = np.nanmedian(ratios[some], axis=-1)
+    return out
 
 
 def sweep(bench: Bench, runs: int, seed: int, tell: Callable[[str], object]) -> Sweeps:
@@ -372,17 +375,16 @@ def _level(trial: Trial, errors: Errors, own: Errors) -> Level:
     """A level from simulated errors."""
     n = errors.runs
     lost = ~np.isfinite(errors.base).all(axis=0) & np.isfinite(own.base).all(axis=0)
-    ratios = [median_ratio(errors.rms, own.rms)]
-    rng = np.random.default_rng(0)
-    for _ in range(_RESAMPLES if errors is not own else 0):
-        rows = rng.integers(n, size=n)
-        ratios.append(median_ratio(errors.part(rows).rms, own.part(rows).rms))
-    low, high = np.quantile(ratios, [0.025, 0.975])
+    ratio, low, high = (float(median_ratio(errors.rms, own.rms)),) * 3
+    if errors is not own:
+        rows = np.random.default_rng(0).integers(n, size=(_RESAMPLES, n))
+        ratios = median_ratio(*(np.sqrt(np.mean(e.base[rows] ** 2, axis=1)) for e in (errors, own)))
+        low, high = np.quantile(np.append(ratios, ratio), [0.025, 0.975])
     spread = float(np.std(errors.prediction**2, ddof=1) / np.sqrt(n) / (2.0 * max(errors.predicted, 1e-300)))
     over = errors.predicted / max(own.predicted, 1e-300)
     return Level(
         trial.label, trial.value, "simulation", errors.bias, errors.std, errors.rms, errors.std / np.sqrt(n),
-        errors.std / np.sqrt(2.0 * (n - 1)), errors.predicted, spread, over, ratios[0], float(low), float(high),
+        errors.std / np.sqrt(2.0 * (n - 1)), errors.predicted, spread, over, ratio, float(low), float(high),
         int(lost.sum()), trial.improvement,
     )  # fmt: skip
 
@@ -399,7 +401,7 @@ def _by_formula(trial: Trial, own: Level, linear: LinearErrors | None) -> Level:
         std_error, share, share_error = bias_error, linear.predicted(noise, every_std), 0.0
         over = share / max(linear.predicted(1.0, 1.0), 1e-300)
         rms, usual = linear.rms(noise, every_std), linear.rms(1.0, 1.0)
-    ratio = median_ratio(rms, usual)
+    ratio = float(median_ratio(rms, usual))
     return Level(
         trial.label, trial.value, "formula", bias, std, rms, bias_error, std_error, share, share_error, over, ratio, ratio, ratio,
         0, trial.improvement,
