@@ -30,8 +30,9 @@ demo: $(READY)
 	$(BIN)/bayesid demo
 
 # A process a core, each with one thread: threads of two processes would wait for each other. A module stays in one process,
-# so that what its tests share is made once.
-PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+# so that what its tests share is made once. What Python has compiled is kept, even where the environment forbids that: else every
+# process that a test starts compiles the package again.
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test: $(READY)
 	$(PYTEST)

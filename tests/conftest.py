@@ -23,12 +23,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 #: Modules that take longest, by their processor time. `make test` gives modules to two processes one by one; begun first, these
 #: leave none of them alone with a long one at the end.
 LONGEST = (
-    "test_changes.py", "test_readme.py", "test_diagnosis.py", "test_fuzz.py", "test_diagnosis_report.py", "test_mistakes.py",
-    "test_coverage.py", "test_robust.py", "test_accuracy.py", "test_report.py", "test_residual_floor.py",
-    "test_diagnosis_input.py", "test_diagnosis_study.py", "test_excitation.py", "test_posterior.py", "test_physical.py",
-    "test_tell.py", "test_outputs.py", "test_in_part.py", "test_certificate.py", "test_flexible.py", "test_figures.py",
-    "test_regression.py", "test_consistent_links.py", "test_errors_in_variables.py", "test_posterior_sampling.py",
-    "test_newcomers.py", "test_payload.py", "test_printed_estimate.py", "test_expressions.py", "test_liu1998.py",
+    "test_readme.py", "test_diagnosis.py", "test_mistakes.py", "test_kept.py", "test_notebooks.py", "test_changes.py",
+    "test_tasks.py", "test_posterior.py", "test_in_part.py", "test_physical.py", "test_robust.py", "test_outputs.py",
+    "test_regression.py", "test_real_recordings.py", "test_report.py", "test_own_fit.py", "test_wild.py", "test_export.py",
+    "test_diagnosis_input.py", "test_long_segment.py", "test_fuzz.py", "test_numbers.py", "test_payload.py",
+    "test_posterior_sampling.py", "test_estimators.py", "test_errors_in_variables.py", "test_mounts.py", "test_figures.py",
+    "test_accuracy.py", "test_flexible.py", "test_experiment.py", "test_excitation.py", "test_tell.py", "test_coverage.py",
+    "test_nonlinear.py", "test_residual_floor.py", "test_certificate.py", "test_encoder_noise.py", "test_newcomers.py",
     "test_identify.py",
 )  # fmt: skip
 

@@ -55,9 +55,10 @@ def test_intervals_that_are_too_short_are_found_out(own):
     assert np.median(found.std_z) == pytest.approx(2.0, abs=0.5)
 
 
-def test_an_interrupted_run_goes_on_where_it_was(own, tmp_path):
+def test_an_interrupted_run_goes_on_where_it_was(own, tmp_path, monkeypatch):
+    monkeypatch.setattr("bayesid.design.accuracy.certificate.FEWEST", 10)
     kept, told = tmp_path / "twins.npz", []
-    whole = certify(own, 20, 3, quiet)
+    whole = certify(own, 10, 3, quiet)
 
     def stop(text: str) -> None:
         told.append(text)
@@ -65,15 +66,15 @@ def test_an_interrupted_run_goes_on_where_it_was(own, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        certify(own, 20, 3, stop, kept)
+        certify(own, 10, 3, stop, kept)
     assert kept.exists()
     told.clear()
-    again = certify(own, 20, 3, told.append, kept, resume=True)
-    assert len(told) == 13 and told[0] == "certificate: 8 of 20 twins"
+    again = certify(own, 10, 3, told.append, kept, resume=True)
+    assert len(told) == 3 and told[0] == "certificate: 8 of 10 twins"
     np.testing.assert_array_equal(again.inside, whole.inside)
     np.testing.assert_array_equal(again.mean_z, whole.mean_z)
     with pytest.raises(InputError, match="belongs to another run"):
-        certify(own, 20, 4, quiet, kept, resume=True)
+        certify(own, 10, 4, quiet, kept, resume=True)
 
 
 def test_methods_without_intervals_and_too_few_twins_are_refused(own):

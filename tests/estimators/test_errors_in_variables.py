@@ -269,6 +269,7 @@ def test_encoder_noise_study(case):
     assert fits["iv, commanded trajectory"]["encoder_noise_seen"] == 1.0
 
 
+@pytest.mark.slow
 def test_the_page_of_the_study_is_written(tmp_path):
     result = encoder_noise.study(count=2, processes=1, cases=("puma, automatic",))
     encoder_noise.write(result, tmp_path)
