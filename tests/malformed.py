@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -69,17 +70,21 @@ table = "validation.csv"
 """
 
 
+@cache
+def good_files() -> dict[str, str]:
+    """Files of a folder with nothing wrong, by name; made once."""
+    motion = recording(0)
+    static = motion.drop(columns=["v1", "v2"])
+    static[["fx", "fy", "fz", "mx", "my", "mz"]] = recording(2)[["fx", "fy", "fz", "mx", "my", "mz"]]
+    tables = {"identification": motion, "static": static, "validation": recording(1)}
+    return {"robot.urdf": URDF, "experiment.toml": TOML} | {f"{k}.csv": t.to_csv(index=False) for k, t in tables.items()}
+
+
 def write_good(folder: Path) -> Path:
     """Write a folder with nothing wrong: two joints, a wrench, velocities, a stop-and-go table."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "robot.urdf").write_text(URDF, encoding="utf-8")
-    (folder / "experiment.toml").write_text(TOML, encoding="utf-8")
-    motion = recording(0)
-    motion.to_csv(folder / "identification.csv", index=False)
-    static = motion.drop(columns=["v1", "v2"])
-    static[["fx", "fy", "fz", "mx", "my", "mz"]] = recording(2)[["fx", "fy", "fz", "mx", "my", "mz"]]
-    static.to_csv(folder / "static.csv", index=False)
-    recording(1).to_csv(folder / "validation.csv", index=False)
+    for name, text in good_files().items():
+        (folder / name).write_text(text, encoding="utf-8")
     return folder
 
 

@@ -4,6 +4,7 @@ import ast
 import importlib.util
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -23,15 +24,20 @@ def imported(script: Path) -> list[tuple[str, str]]:
     return [(module, name) for module, name in found if module.split(".")[0] in ("bayesid", "tests")]
 
 
+@cache
+def words(path: Path) -> set[str]:
+    """What a module defines, assigns or imports."""
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return {getattr(node, "name", None) or getattr(node, "id", None) for node in nodes}
+
+
 def exists(module: str, name: str) -> bool:
     """Whether a module of the package has the name, or a test module of that name stands in the repository."""
     if module.startswith("tests"):
         path = ROOT / module.replace(".", "/")
         if path.is_dir():
             return not name or any((path / name).with_suffix(s).exists() for s in ("", ".py"))
-        tree = ast.walk(ast.parse(path.with_suffix(".py").read_text(encoding="utf-8")))
-        words = (getattr(node, "name", None) or getattr(node, "id", None) for node in tree)  # defined, assigned or imported
-        return not name or name in words
+        return not name or name in words(path.with_suffix(".py"))
     if not name or hasattr(importlib.import_module(module), name):
         return True
     return importlib.util.find_spec(f"{module}.{name}") is not None

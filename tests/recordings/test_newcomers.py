@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -80,6 +81,12 @@ def write_physical(folder: Path) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def physical(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """That folder, made once."""
+    return write_physical(tmp_path_factory.mktemp("physical") / "arm")
+
+
 def no_inertias(folder: Path) -> None:
     path = folder / "robot.urdf"
     path.write_text(re.sub(r"<inertial>.*?</inertial>", "", path.read_text(), flags=re.DOTALL))
@@ -135,8 +142,8 @@ CASES: list[tuple[str, Damage, tuple[str, ...]]] = [
 
 
 @pytest.mark.parametrize(("damage", "says"), [case[1:] for case in CASES], ids=[case[0] for case in CASES])
-def test_each_is_one_line_that_names_the_remedy(damage: Damage, says: tuple[str, ...], tmp_path: Path) -> None:
-    folder = write_physical(tmp_path / "arm")
+def test_each_is_one_line_that_names_the_remedy(damage: Damage, says: tuple[str, ...], physical: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(physical, tmp_path / "arm")
     damage(folder)
     try:
         said = bayesid.check(bayesid.load_experiment(folder)).warnings
@@ -148,16 +155,16 @@ def test_each_is_one_line_that_names_the_remedy(damage: Damage, says: tuple[str,
     assert len(wanted[0]) < 500
 
 
-def test_without_a_mistake_nothing_is_said(tmp_path: Path) -> None:
-    found = bayesid.check(bayesid.load_experiment(write_physical(tmp_path / "arm")))
+def test_without_a_mistake_nothing_is_said(physical: Path) -> None:
+    found = bayesid.check(bayesid.load_experiment(physical))
     assert found.mistakes == () and found.experiment.warnings == ()
     # The static run takes gravity and the offset with it, and there is none for the validation motion: that is all.
     (left,) = found.warnings
     assert "'validation' is predicted with an error of" in left
 
 
-def test_nothing_looks_doubtful_only_where_a_fit_leaves_the_noise(tmp_path: Path) -> None:
-    found = bayesid.check(bayesid.load_experiment(write_physical(tmp_path / "arm")))
+def test_nothing_looks_doubtful_only_where_a_fit_leaves_the_noise(physical: Path) -> None:
+    found = bayesid.check(bayesid.load_experiment(physical))
     (fitted,) = (p for p in found.left if p.fitted)
 
     def shown(whitened: float) -> str:

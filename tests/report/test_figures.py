@@ -113,9 +113,12 @@ _SEVEN, _BOTH = tuple(f"tau{k}" for k in range(1, 8)), WRENCH + ("tau1", "tau2",
 
 @pytest.mark.parametrize(
     ("channels", "scale"),
-    [(WRENCH, 1e-4), (WRENCH, 3e4), (("tau1",), 1e-4), (("tau1",), 1.0), (_SEVEN, 3e4), (_BOTH, 1e-4), (_BOTH, 1.0)],
+    [
+        (WRENCH, 1e-4), (("tau1",), 1e-4), (("tau1",), 1.0), (_SEVEN, 3e4), (_BOTH, 1e-4),
+        pytest.param(WRENCH, 3e4, marks=pytest.mark.slow), pytest.param(_BOTH, 1.0, marks=pytest.mark.slow),
+    ],
     ids=lambda x: str(x) if isinstance(x, float) else f"{len(x)} channels",
-)
+)  # fmt: skip
 def test_predictions_and_residuals_are_readable(channels, scale):
     for figure in (
         measured_against_predicted(prediction(channels, scale=scale)),

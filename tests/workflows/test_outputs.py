@@ -408,7 +408,8 @@ def test_everything_public_shows_itself_in_one_line(comparison, posterior, resul
 
 
 def test_every_warning_says_what_to_do(tmp_path):
-    """One recording short of everything: no validation motion, an offset, links not excited, halves that differ, a flat prior."""
+    """One recording short of everything: no validation motion, an offset, links not excited, halves that differ, a flat prior,
+    and too few draws."""
     robot = puma2(tmp_path)
     sensor = Sensor(translation=np.array([0.0, 0.0, -0.1]))
     motions = []
@@ -418,7 +419,8 @@ def test_every_warning_says_what_to_do(tmp_path):
     short = experiment(robot, motions, sensor)
     results = [
         bayesid.identify(short), bayesid.identify(short, method="iv"), bayesid.identify(short, motions=["half1"]),
-        bayesid.compare(short, methods=["ols", "gls"]), bayesid.sample(short, draws=400),
+        bayesid.compare(short, methods=["ols", "gls"]),
+        bayesid.sample(short, draws=200, keep_going=True, sampler=bayesid.Sampler(longest=1)),
         bayesid.sample(short, draws=400, prior="nominal", prior_std=1e-3), bayesid.identify(short, method="sdp"),
     ]  # fmt: skip
     said = {warning for result in results for warning in result.warnings}
