@@ -83,7 +83,7 @@ def test_rows_are_those_of_the_whole_recording(folder, small, options):
         assert off.max() < 1e-8  # ends of the pieces that are smoothed on their own: 0.43**28
 
 
-@pytest.mark.parametrize("method", ["ols", "wls", "gls", "huber"])
+@pytest.mark.parametrize("method", ["wls", "huber", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ols", "gls"))])
 def test_estimates_agree(folder, small, method):
     whole, chunked = (bayesid.identify(load(folder, flag), "wrench", method) for flag in ("false", "true"))
     std = whole.estimate.full_std
