@@ -85,7 +85,12 @@ def made(folder, channel, seed=0):
 
 @pytest.mark.parametrize(
     ("effect", "channel"),
-    [("sensor_delay", "wrench"), ("base_tilt", "wrench"), ("coulomb_friction", "torque"), ("torque_ripple", "torque")],
+    [
+        ("sensor_delay", "wrench"),
+        ("base_tilt", "wrench"),
+        ("coulomb_friction", "torque"),
+        pytest.param("torque_ripple", "torque", marks=pytest.mark.slow),
+    ],
 )
 def test_one_hidden_effect_is_named_and_measured(record, request, effect, channel):
     """Name, place, values within four standard deviations, and the gap on the unseen motions is closed."""

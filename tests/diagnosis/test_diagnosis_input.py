@@ -35,7 +35,7 @@ def both(robot, seed=1):
     return [motion(robot, seed=seed), motion(robot, "unseen", "validation", seed=seed + 50)]
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_known_friction_of_sampled_readings_leaves_nothing(robot, seed):
     """`simulate` samples, it does not average: near a reversal that is all of the friction or half of it."""
     found = bayesid.diagnose(recorded(robot, both(robot, seed), DRY, seed=seed), "torque", effects=DRY)
@@ -48,7 +48,7 @@ def test_unknown_friction_of_sampled_readings_is_named(robot):
     assert named.verdict == "named" and {f.term.effect.name for f in named.found} == set(DRY)
 
 
-@pytest.mark.parametrize("seed", [10, 20])
+@pytest.mark.parametrize("seed", [10, pytest.param(20, marks=pytest.mark.slow)])
 def test_a_quiet_sensor_shows_no_contact_in_the_taper(robot, seed):
     """The mean over a sample's time belongs to the reading, not to the weight that it gets afterwards."""
     found = bayesid.diagnose(recorded(robot, both(robot, seed), force=0.005, seed=seed))

@@ -102,7 +102,7 @@ def test_regularisation_helps_where_least_squares_is_hopeless():
     assert np.median(errors["tsvd"]) < 0.2 * np.median(errors["ols"])
 
 
-@pytest.mark.parametrize("method", ["ols", "wls", "gls"])
+@pytest.mark.parametrize("method", [pytest.param("ols", marks=pytest.mark.slow), "wls", "gls"])
 def test_intervals_cover_with_a_known_filter_and_white_noise_ones_do_not(method):
     """Filtered noise is coloured: intervals must allow for it; textbook ones are several times too short."""
     rng = np.random.default_rng(6)

@@ -134,7 +134,7 @@ def test_student_noise_agrees_with_emcee_on_the_marginal_density():
 
     data = regression(7, samples=60, p=1, channels=2, heavy=3)
     model = PosteriorModel.of(data, noise="student")
-    posterior = sampled(model, draws=6000)
+    posterior = sampled(model, draws=2000)  # some thousand independent ones; of emcee's there are 240
 
     def density(x):
         return model.log_joint(x[:, :1], np.exp(x[:, 1:3]), np.exp(x[:, 3])) + x[:, 3]
