@@ -181,7 +181,13 @@ def test_sums_give_what_a_fit_to_the_rows_gives(diagnosis):
 
 
 @pytest.fixture(scope="module")
-def beside_much(tmp_path_factory):
+def searches() -> list[Search]:
+    """What the searches of `beside_much` found."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def beside_much(tmp_path_factory, searches):
     """Friction in one joint, and in the other what no effect of the library is, ten times as loud.
 
     With half the friction the search ends in one of two models, and rounding decides in which.
@@ -202,7 +208,13 @@ def beside_much(tmp_path_factory):
         torques[:, 0] += 20.0 * sosfilt(butter(2, 5.0, fs=100.0, output="sos"), rng.normal(size=len(torques)))
         return replace(motion, table=replace(motion.table, torques=torques))
 
-    return diagnose(replace(recorded, motions=tuple(louder(m, k) for k, m in enumerate(recorded.motions))))
+    def kept(*given):
+        searches.append(search(*given))
+        return searches[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bayesid.workflows.diagnose.search", kept)
+        return diagnose(replace(recorded, motions=tuple(louder(m, k) for k, m in enumerate(recorded.motions))))
 
 
 def test_what_another_joint_does_says_nothing_against_an_effect(beside_much):
@@ -218,7 +230,7 @@ def test_what_another_joint_does_says_nothing_against_an_effect(beside_much):
     assert "tau2: " in str(beside_much) and "most of it is closed in the channels" in str(beside_much)
 
 
-def test_names_that_make_validation_worse_are_told_not_given(beside_much, monkeypatch):
+def test_names_that_make_validation_worse_are_told_not_given(beside_much, searches, monkeypatch):
     """Held out in turn they are better, fitted to all fitted motions not: unknown, and the note says so."""
     data, s = beside_much.data, beside_much.search
     found = remarks(s, beside_much.gap, "unknown", "residual", (), beside_much.part, True)
@@ -228,6 +240,8 @@ def test_names_that_make_validation_worse_are_told_not_given(beside_much, monkey
     def grown(*args, complete=True, **kwargs):
         return replace(beside_much.gap, after=2.0 * beside_much.gap.before)
 
+    again_found = iter(searches)  # the same search of the same data
+    monkeypatch.setattr("bayesid.workflows.diagnose.search", lambda *_: next(again_found))
     monkeypatch.setattr("bayesid.workflows.diagnose.validate", grown)
     again = diagnose(data.experiment, "torque")
     assert again.verdict == "unknown" and not again.found and again.part is None
