@@ -181,6 +181,7 @@ def test_readme_shows_the_figures(study, feasibility, proven):
         assert study.by_hand() < float(found.lower)
 
 
+@pytest.mark.slow
 def test_tables_and_figure(study, tmp_path):
     results = study.run(points=4)
     present = sys.modules["present"]

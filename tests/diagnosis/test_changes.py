@@ -113,7 +113,7 @@ def test_the_report_states_the_thresholds_in_use(with_payload):
     assert "17.5 is asked for" in changes_report(stricter)
 
 
-@pytest.mark.parametrize("masses", [True, False])
+@pytest.mark.parametrize("masses", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_payload_is_named_with_its_mass(arm, with_payload, masses):
     found = with_payload[2]
     if not masses:  # nor are any needed

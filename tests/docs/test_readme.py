@@ -55,7 +55,7 @@ def tried(language: str) -> list:
 
 
 #: Pages that say the same in Python and as command lines, and the longer of the two.
-LONG = {"docs/howto/accuracy.md": "python", "docs/howto/large.md": "console"}
+LONG = {"docs/howto/accuracy.md": "python", "docs/howto/diagnose.md": "console", "docs/howto/large.md": "console"}
 
 
 @pytest.fixture(scope="module")

@@ -87,7 +87,9 @@ def test_with_stated_noise_it_is_the_plain_formula(motion):
 
 
 @exceeds
-@pytest.mark.parametrize("method", ["ols", "wls", "gls"])
+@pytest.mark.parametrize(
+    "method", [pytest.param("ols", marks=pytest.mark.slow), "wls", pytest.param("gls", marks=pytest.mark.slow)]
+)
 def test_the_bias_of_attenuation_is_in_the_intervals(method):
     """Repeated recordings with errors of their own in every entry: estimates miss the truth by as much as they say."""
     rng = np.random.default_rng(5)

@@ -477,6 +477,7 @@ def test_a_trust_that_the_data_contradict_is_left_out_of_intervals(tmp_path):
     np.testing.assert_allclose(estimate.std, fit(regression, "wls").std, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_links_that_lie_elsewhere_are_not_pulled_to_the_nominal_ones():
     """Links a tenth of a metre off, which of a wrist is its length: a pull of some of them to the nominal ones does only harm."""
     errors = {"sdp": [], "wls": []}

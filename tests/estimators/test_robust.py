@@ -122,7 +122,7 @@ def test_touches_are_rejected_as_windows_with_their_quiet_samples(method):
     np.testing.assert_allclose(estimate.noise["trajectory"].std, clean.noise["trajectory"].std, rtol=0.1)
 
 
-@pytest.mark.parametrize("method", ROBUST, ids=lambda m: m.name)
+@pytest.mark.parametrize("method", [Huber(), pytest.param(Student(), marks=pytest.mark.slow)], ids=lambda m: m.name)
 def test_disturbed_recordings_of_robots(method):
     """Over a few recordings; the study has many."""
     for name in outliers.ARMS:

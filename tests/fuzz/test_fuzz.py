@@ -64,6 +64,7 @@ def test_a_fixed_share(case: Case, worker: Worker, original: Path) -> None:
     hold(case, worker, original)
 
 
+@pytest.mark.slow
 def test_links_a_million_times_too_light_are_diagnosed(worker: Worker, original: Path) -> None:
     """Amplitudes that nothing determines divided by their standard deviations of zero once."""
     place = original.parent / "light"

@@ -32,7 +32,7 @@ def test_wrong_posteriors_are_seen(wrong):
     assert sbc.probabilities(np.sum(draws < truth, axis=1)[:, None])[0] < 1e-3
 
 
-@pytest.mark.parametrize("name", ["ur5-active", "panda-inactive"])
+@pytest.mark.parametrize("name", [pytest.param("ur5-active", marks=pytest.mark.slow), "panda-inactive"])
 def test_a_few_runs_lie_in_the_band(name):
     ranks = sbc.run(name, 12, 31, processes=1)
     assert ranks.shape == (12, len(sbc.names_of(name))) and ranks.min() >= 0 and ranks.max() <= sbc.DRAWS

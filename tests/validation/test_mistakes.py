@@ -223,7 +223,7 @@ def test_no_fit_reaches_beyond_the_highest_score(channel: str, tmp_path: Path) -
         assert score <= explainer.highest_score(None, worth) + 1e-9
 
 
-@pytest.mark.parametrize("kept", [1, 30, 150])
+@pytest.mark.parametrize("kept", [1, pytest.param(30, marks=pytest.mark.slow), 150])
 def test_little_data_and_absurd_numbers_do_no_harm(kept: int, tmp_path: Path) -> None:
     def short(t: Table) -> Table:
         assert t.torques is not None

@@ -92,6 +92,7 @@ def test_a_motion_tells_the_delay(wrist):
     assert abs(delay.value - 0.006) < 4.0 * delay.std
 
 
+@pytest.mark.slow
 def test_a_real_sensor_has_the_offset_that_is_known(shared, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["calibrate", str(shared("data/kuka-med-wrist")), "--mass", "0.932", "--out", str(out)]) == 0

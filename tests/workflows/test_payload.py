@@ -99,6 +99,11 @@ def test_joint_torques_tell_a_payload_from_the_arm_without_it(shared):
     assert loaded.physically_consistent and not any(q.shown for q in loaded.inertia) and not loaded.warnings
     with pytest.raises(bayesid.InputError, match="no force/torque sensor carries this payload"):
         loaded.export("ros")
+
+
+@pytest.mark.slow
+def test_joint_torques_of_an_arm_without_a_payload_name_none(shared):
+    folder = shared("data/ur10e")
     empty = bayesid.payload(folder / "feb05-20s-8h", reference=folder / "before")
     assert not empty.mass.shown and empty.mass.high < 0.5 and empty.exports() == {}
     assert "does not name a payload" in empty.warnings[0]
