@@ -102,9 +102,9 @@ def widening(whole: Dispersion, channels: Sequence[Dispersion]) -> np.ndarray:
     """By what to multiply the noise variance of each channel (c,).
 
     Where channels pull together, by the links that they share, the whole scatters by more than its parts: then all are
-    multiplied by what is missing. Without channels, the factor of the whole (1,).
+    multiplied by what is missing. Without channels, the factor of the whole (1,); ones where there are too few rows to tell.
     """
-    if not channels:
-        return np.array([whole.factor])
+    if not channels or not whole.size:
+        return np.full(max(len(channels), 1), whole.factor)
     own = np.array([c.factor for c in channels])
     return own * max(whole.found / np.average(own, weights=[c.size for c in channels]), 1.0)

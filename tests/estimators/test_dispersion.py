@@ -113,6 +113,19 @@ def test_widening_is_the_dispersion_of_each_channel_and_at_least_that_of_all():
     np.testing.assert_allclose(widening(scatter(4.0), [scatter(3.0), scatter(1.0, size=15.0)]), [8.0, 8.0 / 3.0])
 
 
+@pytest.mark.parametrize("method", ["ols", "wls", "gls", "huber"])
+def test_a_recording_too_short_for_parts_is_not_widened(method, monkeypatch):
+    """Few poses at rest and a model that counts as incomplete: no channel has a dispersion to average."""
+    monkeypatch.setattr("bayesid.estimators.weights.SMALLEST_AGREEMENT", 2.0)
+    monkeypatch.setattr("bayesid.estimators.weights.LARGEST_LOSS", 0.0)
+    data, truth = regression(np.random.default_rng(4), p=3, rows=2 * PARTS)
+    found = learn_weights(data)
+    assert not found.complete and found.channels and not found.widened
+    assert found.dispersion == 1.0 and found.dispersion_by_channel is None
+    estimate = bayesid.fit(data, method)
+    assert estimate.details.dispersion == 1.0 and np.all(np.abs(estimate.values - truth) < 5.0 * estimate.std)
+
+
 @pytest.mark.parametrize("method", ["wls", "gls"])
 def test_the_dispersion_that_is_said_is_that_of_the_covariance(method):
     """A complete model's: with the factor taken out again the covariance is that of the noise alone."""
