@@ -247,17 +247,24 @@ def finish(now: Iterate) -> Fit:
     covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
     covariance = _widened(projector, covariance, kept, rows)
     cost = price(data, projector.rows, terms, free, kept)
-    score = -0.5 * chi2 - 0.5 * projector.volume - cost if possible and not is_another(data, terms) else -np.inf
-    return Fit(
+    score = -0.5 * chi2 - 0.5 * projector.volume - cost if possible else -np.inf
+    out = Fit(
         projector, terms, links, offset, chi2, len(values), score, covariance, determined, free, now.coordinates, rows,
         derivatives,
     )  # fmt: skip
+    return replace(out, score=-np.inf) if possible and any(is_another(out, k) for k in range(len(terms))) else out
 
 
-def is_another(data: DiagnosisData, terms: Sequence[Term]) -> bool:
-    """Whether an effect beside the user's has values at which it is no more than other effects are."""
-    users = {t.effect for t in data.terms}
-    return any(t.effect.is_another(t.values) for t in terms if t.effect not in users)
+def is_another(best: Fit, index: int) -> bool:
+    """Whether an effect that is not the user's has values at which it is no more than other effects are.
+
+    A value is known to where it brings the odds by which rivals are told apart.
+    """
+    term, data = best.terms[index], best.projector.data
+    if not term.effect.may_be_another or any(t.effect == term.effect for t in data.terms):
+        return False
+    sigmas = np.sqrt(2.0 * (data.settings.rival + schwarz(1, best.projector.rows)))
+    return term.effect.is_another(term.values, sigmas * best.std(index, 1.0))
 
 
 def fit(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None, steps: int | None = None) -> Fit:

@@ -218,6 +218,11 @@ def _has_ended(term: Term) -> bool:
     return bool(np.any(shape & ((values <= effect.lower) | (values >= effect.upper))))
 
 
+def _needs_exact_fit(effect: Effect) -> bool:
+    """Whether the shape, which columns are made for, may make it another effect."""
+    return effect.may_be_another and any(p.linear for p in effect.quantities)
+
+
 def _chosen(
     s: Search, seed: int, among: frozenset[str] | None, exact: Sequence[_Candidate], banned: frozenset[str]
 ) -> InPart | None:
@@ -229,7 +234,7 @@ def _chosen(
         x for x in column_terms(data)
         if _confirmable(x[0].effect) and (among is None or x[0].effect.spec in among) and x[0].effect.spec not in banned
         # Whether its values make it another effect only an exact fit tells, as the search makes them.
-        and (not x[0].effect.may_be_another or x[0].effect.spec in found)
+        and (not _needs_exact_fit(x[0].effect) or x[0].effect.spec in found)
     ]  # fmt: skip
     apart = found | banned
     library += [x for x in exact if x[0].effect.spec not in apart and (among is None or x[0].effect.spec in among)]
@@ -285,7 +290,7 @@ def _exact(s: Search) -> Iterator[_Candidate]:
     users, taken = s.best.terms[: len(s.base.terms)], {t.effect for t in s.best.terms}
     for effect in everywhere(data):
         linear = np.array([p.linear for p in effect.quantities])
-        if effect in taken or not (_confirmable(effect) and effect.may_be_another and linear.any() and effect.sought(around)):
+        if effect in taken or not (_confirmable(effect) and _needs_exact_fit(effect) and effect.sought(around)):
             continue
         held = (*users, *(t for t in s.best.terms[len(users) :] if not effect.excludes(t.effect)))
         without = fit(s.projector, held, s.best, FEW_STEPS)
@@ -304,7 +309,7 @@ def _concluded(
     sums, known = choice.sums, len(s.base.terms)
     data = scaled(s.projector.data, left_by(s.projector.data, s.best) * sums.correlation)
     best = fit(make_projector(data, model), model, s.best)
-    another = [n for n in range(len(kept)) if is_another(data, best.terms[known + n : known + n + 1])]
+    another = [n for n in range(len(kept)) if is_another(best, known + n)]
     if not another and not np.isfinite(best.score):
         return None
     now = choice.squares(kept)

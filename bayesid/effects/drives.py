@@ -117,7 +117,7 @@ class CoupledFriction(ReadingEffect):
     def comes_after(self, other):
         return other.name in self.instead_of and other.joint in (self.joint, self.driver)
 
-    def is_another(self, values):
+    def is_another(self, values, doubt):
         # Friction and rotor of one joint.
         return abs(values[0]) < LEAST_COUPLING
 

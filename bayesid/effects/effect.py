@@ -359,8 +359,8 @@ class Effect(ABC):
             out.append(Linearisation.holding(at, held, away))
         return out
 
-    def is_another(self, values: Sequence[float]) -> bool:
-        """Whether at these values it is no more than other effects are: a search then leaves the name to them."""
+    def is_another(self, values: Sequence[float], doubt: Sequence[float]) -> bool:
+        """Whether at these values, each known to so much, it is no more than other effects are: these then have the name."""
         return False
 
     def holds_below(self, values: Sequence[float], around: Surroundings) -> float:

@@ -20,8 +20,10 @@ JOINT_RESONANCES = np.geomspace(3.0, 30.0, 17)
 SOFTEST = 0.5
 #: Torques at which gear teeth may lie firmly on each other, as shares of the effort limit.
 FIRM_SHARES = (3e-4, 3e-3, 3e-2)
-#: Resonances of a mount [Hz] and their damping, which are tried.
-MOUNT_RESONANCES, MOUNT_DAMPING = np.geomspace(2.5, 60.0, 14), 0.05
+#: Resonances of a mount [Hz], which are tried; so damped that the half-power bandwidth, twice the damping, reaches from the one
+#: before to the one after: a fit from a sharper one ends beside the mount's own resonance.
+MOUNT_RESONANCES = np.geomspace(2.5, 60.0, 14)
+MOUNT_DAMPING = float(0.5 * (MOUNT_RESONANCES[2] - MOUNT_RESONANCES[0]) / MOUNT_RESONANCES[1])
 #: Ringing of a mount is followed until it has died down to exp(-8), but no longer than this [s].
 _LONGEST = 20.0
 
@@ -93,6 +95,10 @@ class Backlash(PlayEffect):
 
     def slope(self, torque, values):
         return 0.5 * values[0] / values[1] * (1.0 - np.tanh(torque / values[1]) ** 2)
+
+    def is_another(self, values, doubt):
+        # A gap of any size between teeth that are as soft for it is a spring: a flexible joint.
+        return values[0] <= doubt[0]
 
     def linearisations(self, around):
         # Without play the torque at which teeth are firm says nothing: it is tried.

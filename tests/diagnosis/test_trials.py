@@ -7,10 +7,11 @@ import pytest
 
 from bayesid.diagnosis.candidates import make_library
 from bayesid.diagnosis.data import residual_rows
-from bayesid.diagnosis.fit import fit
+from bayesid.diagnosis.fit import fit, is_another
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.effects import Term, exact
+from bayesid.effects.placement import MOUNT_RESONANCES
 from bayesid.robot.examples import PAPER_LOCKED
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
@@ -18,22 +19,33 @@ SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))
 COMPLIANCE = 4e-4  # a resonance near 6 Hz under the second link [rad/(N m)]
 
 
-@pytest.fixture(scope="module", params=["stiff", "flexible"])
-def library(request, tmp_path_factory):
+@pytest.fixture(scope="module")
+def stiff(tmp_path_factory):
+    """A recording with nothing hidden."""
     robot = puma2(tmp_path_factory.mktemp("puma"))
     motion = fourier(robot, 1, duration=10.0, rate=100.0, speed=2.0)
     table = recording(robot, SENSOR, motion, force_std=0.3, torque_std=0.05, resolution=2e-5)
-    given = experiment(robot, [Motion("a", "identification", table)], SENSOR, inertia_rel_std=0.03, locked=PAPER_LOCKED)
+    return experiment(robot, [Motion("a", "identification", table)], SENSOR, inertia_rel_std=0.03, locked=PAPER_LOCKED)
+
+
+def hidden(given, spec, *values):
+    """The data of a recording with an effect that changes its wrench, and that effect."""
     data = prepare_data(given, "wrench", (), None, 0)
-    effects = [e for name in ("joint_flexibility", "base_compliance") for e in data.places(name)]
+    effect = next(e for e in data.places(spec.split("@")[0]) if e.spec == spec)
+    (trajectory,), (motion,), links = [s.trajectory for s in data.segments], given.motions, given.robot.nominal.ravel()
+    change = [exact.readings(given.robot, data.channels, trajectory, links, terms) for terms in ((Term(effect, values),), ())]
+    table = motion.table
+    more = np.column_stack([np.interp(table.times, trajectory.times, x) for x in (change[0] - change[1]).T])
+    with_it = replace(given, motions=(replace(motion, table=replace(table, wrench=table.wrench + more)),))
+    return prepare_data(with_it, "wrench", (), None, 0), effect
+
+
+@pytest.fixture(scope="module", params=["stiff", "flexible"])
+def library(request, stiff):
+    data = prepare_data(stiff, "wrench", (), None, 0)
     if request.param == "flexible":
-        (trajectory,) = [s.trajectory for s in data.segments]
-        soft = Term(next(e for e in effects if e.where == "joint2"), (COMPLIANCE,))
-        links = robot.nominal.ravel()
-        change = [exact.readings(robot, data.channels, trajectory, links, terms) for terms in ((soft,), ())]
-        more = np.column_stack([np.interp(table.times, trajectory.times, x) for x in (change[0] - change[1]).T])
-        given = replace(given, motions=(replace(given.motions[0], table=replace(table, wrench=table.wrench + more)),))
-        data = prepare_data(given, "wrench", (), None, 0)
+        data, _ = hidden(stiff, "joint_flexibility@joint2", COMPLIANCE)
+    effects = [e for name in ("joint_flexibility", "base_compliance") for e in data.places(name)]
     projector = make_projector(data, ())
     base = fit(projector, ())
     gain = next(e for e in data.places("sensor_gain") if e.where == "mx")
@@ -67,3 +79,35 @@ def test_the_best_value_is_found(library):
             # Two values next to each other may gain alike; beside another effect the screen is not exact.
             assert gain == pytest.approx(max(gains), rel=1e-6 if now is base else 0.02)
             assert term.values == tuple(effect.trials(made.around)[int(np.argmax(gains))]) or now is beside
+
+
+@pytest.mark.parametrize(("between", "damping"), [(0, 0.01), (2, 0.03), (3, 0.05), (4, 0.1)])
+def test_a_resonance_between_two_that_are_tried_is_found(stiff, between, damping):
+    """From the best of the values that are tried, wherever a mount resonates in the motion's band."""
+    resonance = float(np.sqrt(MOUNT_RESONANCES[between] * MOUNT_RESONANCES[between + 1]))
+    data, mount = hidden(stiff, "base_compliance@base", resonance, damping)
+    projector = make_projector(data, ())
+    base = fit(projector, ())
+    made = make_library(projector, base, None, [mount])
+    ((term, gain),) = made._tried(base, set(), made._changes)
+    fitted = fit(projector, (term,), base)
+    assert gain > 0.0 and fitted.terms[0].values == pytest.approx((resonance, damping), rel=0.05)
+    assert fitted.chi2 < 1.1 * projector.rows
+
+
+@pytest.mark.parametrize(
+    ("spec", "truth", "start", "spring"),
+    [
+        ("joint_flexibility@joint2", (COMPLIANCE / 4,), (0.02, 100.0), True),
+        ("backlash@joint1", (0.002, 2.0), (0.001, 1.5), False),
+    ],
+)  # fmt: skip
+def test_a_play_that_is_no_more_than_a_spring_has_no_score(stiff, spec, truth, start, spring):
+    """Its gap grows with the torque at which teeth are firm, and nothing says how large both are."""
+    data, own = hidden(stiff, spec, *truth)
+    play = next(e for e in data.places("backlash") if e.where == own.where)
+    fitted = fit(make_projector(data, ()), (Term(play, start),))
+    assert is_another(fitted, 0) == spring == np.isneginf(fitted.score)
+    # What the user states is what it is.
+    stated = fit(make_projector(replace(data, terms=(Term(play, start),)), ()), (Term(play, start),))
+    assert not is_another(stated, 0) and np.isfinite(stated.score)
