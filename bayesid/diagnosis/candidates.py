@@ -87,6 +87,8 @@ class Proposal:
     #: Size of its first parameter that would stand out by five standard deviations; None where it has no amplitude.
     minimum: float | None = None
     others: tuple[Term, ...] = ()  # other values to start from
+    #: Whether the gain is what values that are tried gain as they are: columns promise at most theirs, a fit from these at least.
+    tried: bool = False
 
     @property
     def name(self) -> str:
@@ -135,11 +137,15 @@ class Library:
                 minimum = data.settings.detected / length if length > 0 else None
                 starts = [Term(block.effect, _inside(block.effect, v)) for v in np.atleast_2d(block.about.to_values(amplitudes))]
                 best[name] = Proposal(starts[0], gain, count, minimum, tuple(starts[1:]))
-        shaped = [([t], gain) for t, gain in [*self._tried(fit, taken, self._changes), *self._ripples(fit, left, found)]]
+        shaped = [([t], gain) for t, gain in self._ripples(fit, left, found)]
         contacts = contact_terms(projector, fit, left[: projector.length]) if ExternalContact in map(type, self.effects) else ()
         for terms, gain in [*shaped, *contacts]:
             if (name := terms[0].effect.spec) not in taken:
                 best[name] = _better(best.get(name), terms, gain)
+        for term, gain in self._tried(fit, taken, self._changes):
+            own = best.get(name := term.effect.spec)
+            better = _better(own, [term], gain)
+            best[name] = better if better is own else replace(better, tried=True)
         return sorted(best.values(), key=_promise)
 
     @cached_property

@@ -148,12 +148,16 @@ def _raced(start: Fit, held: Sequence[Term], terms: Sequence[Term]) -> list[Fit]
 
 
 def _shortlist(proposals: Sequence[Proposal], dispersion: float, settings: Settings, most: int) -> list[Proposal]:
-    """The best proposals, but few of one kind: neighbouring links explain alike and would crowd out other kinds."""
+    """The best proposals, but few of one kind: neighbouring links explain alike and would crowd out other kinds.
+
+    Those whose values were tried come on top: what they gain as they are says little of what they would gain fitted.
+    """
     kept: list[Proposal] = []
     for p in proposals:
         name = p.term.effect.name
         same = sum(k.term.effect.name == name for k in kept)
-        if len(kept) < most and same < _ALIKE and 0.5 * p.gain > settings.accept * dispersion:
+        room = p.tried or sum(not k.tried for k in kept) < most
+        if room and same < _ALIKE and 0.5 * p.gain > settings.accept * dispersion:
             kept.append(p)
     return kept
 

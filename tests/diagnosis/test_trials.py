@@ -8,6 +8,7 @@ import pytest
 from bayesid.diagnosis.candidates import make_library
 from bayesid.diagnosis.data import residual_rows
 from bayesid.diagnosis.fit import fit, is_another
+from bayesid.diagnosis.forward import _shortlist
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.effects import Term, exact
@@ -93,6 +94,18 @@ def test_a_resonance_between_two_that_are_tried_is_found(stiff, between, damping
     fitted = fit(projector, (term,), base)
     assert gain > 0.0 and fitted.terms[0].values == pytest.approx((resonance, damping), rel=0.05)
     assert fitted.chi2 < 1.1 * projector.rows
+
+
+def test_what_is_tried_is_fitted_whatever_columns_promise(stiff):
+    """A sharp resonance gains little as it is tried, beside what columns explain at most."""
+    data, mount = hidden(stiff, "base_compliance@base", 4.0, 0.05)
+    projector = make_projector(data, ())
+    base = fit(projector, ())
+    proposals = make_library(projector, base).propose(base)
+    own = next(p for p in proposals if p.term.effect == mount)
+    promised = [replace(p, gain=10.0 * own.gain) for p in proposals if p is not own]
+    chosen = _shortlist([*promised, own], 1.0, data.settings, 2)
+    assert own.tried and len(chosen) == 3 and chosen[-1] is own
 
 
 @pytest.mark.parametrize(
