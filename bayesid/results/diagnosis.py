@@ -349,6 +349,11 @@ def part_sentence(diagnosis: Diagnosis) -> str:
     if channels:
         text += "; what still stands out of the noise is" if none else ", most of it"
         text += f" in {channels}" + (f", and it goes with {joints}" if joints else "")
+    if none:  # of what parts of the recordings show; another motion may show more
+        unseen = [e.last for e in d.errors if not e.fitted and e.last.noise_known]
+        left = [p for p in unseen if (p.whitened_rms / p.expected_rms) ** 2 > d.data.settings.unexplained]
+        more = [f"{_times(p)} times the noise stays on ‘{p.motion}’" for p in left]
+        text += f"; yet {listed(more)}, which took no part in any fit" if left else ""
     return f"{text}."
 
 

@@ -129,6 +129,11 @@ def test_where_nothing_stays_the_reason_is_told_instead(diagnosis):
     assert part.remainder == 0.0
     for text in (str(said), said._repr_html_(), diagnosis_report(said)):
         assert "stays unexplained:" not in text and "0 % stays" not in text and "all of the gap" in text
+    # Another motion may show more.
+    (unseen,) = [e for e in said.errors if not e.fitted]
+    worse, good = (replace(unseen, after=replace(unseen.last, whitened_rms=left)) for left in (27.2, 1.0))
+    assert "27.2 times the noise stays on ‘validation’" in str(replace(said, errors=(worse,)))
+    assert "times the noise stays on" not in str(replace(said, errors=(good,)))
     s = diagnosis.search
     (why,) = [r for r in remarks(s, said.gap, "named_in_part", "surrogates", (), part) if "Named in part" in r]
     assert "unrelated effects" in why
