@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesid.diagnosis.candidates import Library, Proposal
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.fit import FEW_STEPS, STEPS, SWEEPS, Fit, advance, begin, finish, fit
+from bayesid.diagnosis.fit import FEW_STEPS, STEPS, SWEEPS, Fit, advance, begin, finish, fit, is_another
 from bayesid.diagnosis.grams import schwarz
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.settings import Settings
@@ -122,17 +122,28 @@ def _families(library: Library, proposals: Sequence[Proposal], dispersion: float
 
 
 def exact_fits(
-    models: NoiseModels, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], dispersion: float, most: int = _FITTED
+    models: NoiseModels,
+    start: Fit,
+    held: Sequence[Term],
+    proposals: Sequence[Proposal],
+    dispersion: float,
+    most: int = _FITTED,
+    never: Sequence[Term] = (),
 ) -> tuple[NoiseModels, list[Fit]]:
     """Exact fits of the ``most`` promising proposals beside the effects held, each under its own noise, best first.
 
-    Diverged models are left out, and those that are far behind the best after a few steps. ``start`` is a fit of the effects
-    held.
+    Diverged models are left out, and those that are far behind the best after a few steps. An effect that comes out as no more
+    than another one is fitted as that, if it is none of ``never``. ``start`` is a fit of the effects held.
     """
     settings = start.projector.data.settings
     terms = [term for p in _shortlist(proposals, dispersion, settings, most) for term in (p.term, *p.others)]
     fits = []
     for fitted in _raced(start, held, terms):
+        if is_another(fitted, len(held)):
+            other = fitted.terms[-1].effect.as_another(fitted.terms[-1].values)
+            if other is None or any(other.effect == t.effect for t in (*held, *never)):
+                continue
+            fitted = fit(start.projector, (*held, other), start)
         models, own = models.own(fitted)
         fits += [own] if np.isfinite(own.score) else []
     return models, sorted(fits, key=lambda f: -f.score)

@@ -128,7 +128,7 @@ def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...],
             models, without = _without(models, best, i)
         models, library = models.library(without)
         proposals = [p for p in library.propose(without) if p.name != term.effect.spec]
-        models, fits = exact_fits(models, without, held, proposals, dispersion)
+        models, fits = exact_fits(models, without, held, proposals, dispersion, never=[term])
         if exchange and fits and fits[0].score > best.score + dispersion:
             return replace(state, models=models), (), fits[0]
         named, bonus = as_payload(best, i, dispersion)

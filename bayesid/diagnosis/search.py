@@ -91,11 +91,15 @@ def refit(state: State, progress: Callable[[str], None]) -> State:
     return state if known else forward_selection(state, progress)
 
 
-def holds_below(s: Search) -> float:
-    """Frequency [Hz] up to which the effect that promises most holds, where that lies within what is compared; else infinite."""
+def holds_below(s: Search, named: bool) -> float:
+    """Frequency [Hz] up to which the effects found hold, where that lies within what is compared; else infinite.
+
+    Where they are not ``named``, that of the effect that promised most.
+    """
     data = s.projector.data
-    first = next((p for p in s.proposals if 0.5 * p.gain > data.settings.accept * s.dispersion), None)
-    limit = inf if first is None else first.term.effect.holds_below(first.term.values, surroundings(data))
+    first = [p.term for p in s.proposals if 0.5 * p.gain > data.settings.accept * s.dispersion][:1]
+    around = surroundings(data)
+    limit = min((t.effect.holds_below(t.values, around) for t in ([f.term for f in s.found] if named else first)), default=inf)
     return limit if limit < data.segments[0].trajectory.bandwidth else inf
 
 

@@ -363,6 +363,10 @@ class Effect(ABC):
         """Whether at these values, each known to so much, it is no more than other effects are: these then have the name."""
         return False
 
+    def as_another(self, values: Sequence[float]) -> Term | None:
+        """The other effect that it is then, where that is a single one."""
+        return None
+
     def holds_below(self, values: Sequence[float], around: Surroundings) -> float:
         """Frequency [Hz] up to which encoders show enough of what it does for its equation to hold; most hold anywhere."""
         return inf

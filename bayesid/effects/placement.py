@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from functools import partial
 from math import inf
 
@@ -9,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from bayesid.effects import sizes
-from bayesid.effects.effect import Linearisation, Parameter
+from bayesid.effects.effect import Linearisation, Parameter, Term
 from bayesid.effects.families import EncoderEffect, FlexibleJointEffect, GravityEffect, MountEffect, PlayEffect
 from bayesid.signals.smoothing import OVERLAP
 
@@ -97,8 +98,11 @@ class Backlash(PlayEffect):
         return 0.5 * values[0] / values[1] * (1.0 - np.tanh(torque / values[1]) ** 2)
 
     def is_another(self, values, doubt):
-        # A gap of any size between teeth that are as soft for it is a spring: a flexible joint.
+        # A gap of any size between teeth that are as soft for it is a spring.
         return values[0] <= doubt[0]
+
+    def as_another(self, values):
+        return Term(JointFlexibility(*astuple(self)), (float(self.slope(np.zeros(1), values)[0]),))
 
     def linearisations(self, around):
         # Without play the torque at which teeth are firm says nothing: it is tried.

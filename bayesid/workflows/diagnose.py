@@ -155,7 +155,7 @@ def diagnose(
         if push is not None:
             progress("without the time of a push")
             result = searched(without_push(whole, push, seed))
-        if push is None and result.verdict == "unknown" and (below := holds_below(result.search)) < inf:
+        if push is None and (below := holds_below(result.search, result.verdict != "unknown")) < inf:
             again = searched(prepared(below))
             result = result if again.verdict == "unknown" else again
         result = _with_errors(_concluded(result, seed, progress), push, motions, progress)

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesid.diagnosis.candidates import make_library
+from bayesid.diagnosis.candidates import Proposal, make_library
 from bayesid.diagnosis.data import residual_rows
 from bayesid.diagnosis.fit import fit, is_another
-from bayesid.diagnosis.forward import _shortlist
+from bayesid.diagnosis.forward import _shortlist, exact_fits
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.projector import make_projector
+from bayesid.diagnosis.search import _start
 from bayesid.effects import Term, exact
 from bayesid.effects.placement import MOUNT_RESONANCES
 from bayesid.robot.examples import PAPER_LOCKED
@@ -121,6 +122,10 @@ def test_a_play_that_is_no_more_than_a_spring_has_no_score(stiff, spec, truth, s
     play = next(e for e in data.places("backlash") if e.where == own.where)
     fitted = fit(make_projector(data, ()), (Term(play, start),))
     assert is_another(fitted, 0) == spring == np.isneginf(fitted.score)
+    # A search fits what it is instead.
+    state = _start(make_projector(data, ()), (), 0)
+    _, (found, *_) = exact_fits(state.models, state.base, (), [Proposal(Term(play, start), 1e6, 2)], 1.0)
+    assert found.terms[0].effect == own and found.terms[0].values[0] == pytest.approx(truth[0], rel=0.1)
     # What the user states is what it is.
     stated = fit(make_projector(replace(data, terms=(Term(play, start),)), ()), (Term(play, start),))
     assert not is_another(stated, 0) and np.isfinite(stated.score)
