@@ -90,6 +90,11 @@ class DiagnosisData:
         """Nominal link parameters (10 b,)."""
         return self.robot.nominal.ravel()
 
+    @cached_property
+    def travel(self) -> np.ndarray:
+        """How far each joint moves over the fitted motions (n,) [rad or m]."""
+        return np.ptp(np.vstack([s.trajectory.positions for s in self.segments]), axis=0)
+
     def fixed(self, term: Term) -> bool:
         """Whether the user's model keeps this effect's values."""
         return term.effect.spec in self.held

@@ -264,7 +264,8 @@ def is_another(best: Fit, index: int) -> bool:
     if not term.effect.may_be_another or any(t.effect == term.effect for t in data.terms):
         return False
     sigmas = np.sqrt(2.0 * (data.settings.rival + schwarz(1, best.projector.rows)))
-    return term.effect.is_another(term.values, sigmas * best.std(index, 1.0))
+    travel = 0.0 if term.effect.joint is None else float(data.travel[term.effect.joint])
+    return term.effect.is_another(term.values, sigmas * best.std(index, 1.0), travel)
 
 
 def fit(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None, steps: int | None = None) -> Fit:

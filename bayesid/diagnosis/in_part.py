@@ -219,8 +219,8 @@ def _has_ended(term: Term) -> bool:
 
 
 def _needs_exact_fit(effect: Effect) -> bool:
-    """Whether the shape, which columns are made for, may make it another effect."""
-    return effect.may_be_another and any(p.linear for p in effect.quantities)
+    """Whether the shape, which columns are made for, may make it another effect; of harmonics the best attempt has those."""
+    return effect.may_be_another and any(p.linear for p in effect.quantities) and not effect.harmonics
 
 
 def _chosen(

@@ -117,7 +117,7 @@ class CoupledFriction(ReadingEffect):
     def comes_after(self, other):
         return other.name in self.instead_of and other.joint in (self.joint, self.driver)
 
-    def is_another(self, values, doubt):
+    def is_another(self, values, doubt, travel):
         # Friction and rotor of one joint.
         return abs(values[0]) < LEAST_COUPLING
 
@@ -157,6 +157,10 @@ class TorqueRipple(JointTorqueEffect):
 
     def linearisations(self, around):
         return ()  # its harmonics are tried
+
+    def is_another(self, values, doubt, travel):
+        # Where the joint moves through less than a period, nothing shows that the torque repeats.
+        return values[1] * travel < 2.0 * np.pi
 
     def from_harmonic(self, order, sine, cosine):
         return (float(np.hypot(sine, cosine)), order, float(np.arctan2(cosine, sine)))

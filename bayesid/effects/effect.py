@@ -359,8 +359,11 @@ class Effect(ABC):
             out.append(Linearisation.holding(at, held, away))
         return out
 
-    def is_another(self, values: Sequence[float], doubt: Sequence[float]) -> bool:
-        """Whether at these values, each known to so much, it is no more than other effects are: these then have the name."""
+    def is_another(self, values: Sequence[float], doubt: Sequence[float], travel: float) -> bool:
+        """Whether at these values, each known to so much, it is no more than other effects are: these then have the name.
+
+        ``travel`` is how far its joint moves [rad or m], zero where it has none.
+        """
         return False
 
     def as_another(self, values: Sequence[float]) -> Term | None:

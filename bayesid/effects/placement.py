@@ -97,7 +97,7 @@ class Backlash(PlayEffect):
     def slope(self, torque, values):
         return 0.5 * values[0] / values[1] * (1.0 - np.tanh(torque / values[1]) ** 2)
 
-    def is_another(self, values, doubt):
+    def is_another(self, values, doubt, travel):
         # A gap of any size between teeth that are as soft for it is a spring.
         return values[0] <= doubt[0]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -101,10 +102,18 @@ def test_a_coupling_of_nothing_is_another_effect_and_excludes_friction_of_one_jo
     robot = load_robot(write(tmp_path, ROBOTS["panda"]()))
     (coupled,) = EffectLibrary().parse(["coupled_friction@joint5->joint6"], robot.joint_names, ("tau5", "tau6"))
     doubt = (0.01, 0.1, 0.1, 0.1)
-    assert coupled.is_another((0.05, 1.0, 1.0, 0.0), doubt) and not coupled.is_another((-0.5, 1.0, 1.0, 0.0), doubt)
+    assert coupled.is_another((0.05, 1.0, 1.0, 0.0), doubt, 1.0) and not coupled.is_another((-0.5, 1.0, 1.0, 0.0), doubt, 1.0)
     for name, joint, apart in (("viscous_friction", 6, True), ("viscous_friction", 5, False), ("torque_offset", 6, False)):
         (other,) = EffectLibrary().parse([f"{name}@joint{joint}"], robot.joint_names, ("tau5", "tau6"))
         assert coupled.excludes(other) == other.excludes(coupled) == apart
+
+
+@pytest.mark.parametrize("travel", [0.5, 3.0])
+def test_a_ripple_repeats_within_what_the_joint_travels(travel):
+    (ripple,) = EffectLibrary().parse(["torque_ripple@joint1"], ("joint1",), ("tau1",))
+    seen = 2.0 * np.pi / travel
+    for periods, another in ((0.9 * seen, True), (1.1 * seen, False)):
+        assert ripple.is_another((0.2, periods, 0.1), (0.01, 0.01, 0.01), travel) == another
 
 
 @pytest.mark.slow
