@@ -155,7 +155,9 @@ def diagnose(
         if push is not None:
             progress("without the time of a push")
             result = searched(without_push(whole, push, seed))
-        if push is None and (below := holds_below(result.search, result.verdict != "unknown")) < inf:
+        named = result.verdict != "unknown"
+        closed = named and result.gap is not None and result.gap.closed > settings.nearly_all
+        if push is None and not closed and (below := holds_below(result.search, named)) < inf:
             again = searched(prepared(below))
             result = result if again.verdict == "unknown" else again
         result = _with_errors(_concluded(result, seed, progress), push, motions, progress)
