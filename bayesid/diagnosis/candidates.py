@@ -87,7 +87,7 @@ class Proposal:
     #: Size of its first parameter that would stand out by five standard deviations; None where it has no amplitude.
     minimum: float | None = None
     others: tuple[Term, ...] = ()  # other values to start from
-    #: Whether the gain is what values that are tried gain as they are: columns promise at most theirs, a fit from these at least.
+    #: Whether the gain is that of values tried as they are, a lower bound of what a fit gains; columns give an upper bound.
     tried: bool = False
 
     @property

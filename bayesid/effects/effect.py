@@ -360,14 +360,15 @@ class Effect(ABC):
         return out
 
     def is_another(self, values: Sequence[float], doubt: Sequence[float], travel: float) -> bool:
-        """Whether at these values, each known to so much, it is no more than other effects are: these then have the name.
+        """Whether at these values (k,) it is no more than other effects are: a search then leaves the name to them.
 
+        ``doubt`` (k,) is how far from zero each value has to be for its uncertainty to leave the odds that tell rivals apart;
         ``travel`` is how far its joint moves [rad or m], zero where it has none.
         """
         return False
 
     def as_another(self, values: Sequence[float]) -> Term | None:
-        """The other effect that it is then, where that is a single one."""
+        """The other effect that it is at such values (k,), with values of its own, where that is a single one."""
         return None
 
     def holds_below(self, values: Sequence[float], around: Surroundings) -> float:
