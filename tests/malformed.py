@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayesid.robot.examples import Joint, Link, urdf_text
+from tests.example_robots import Joint, Link, urdf_text
 
 # Real recordings: the folder "shared" beside the repository, or where BAYESID_DATA says.
 DATA = Path(os.environ.get("BAYESID_DATA", Path(__file__).resolve().parents[2] / "shared"))

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from bayesid.robot.examples import ZERO, Joint, Link, Vector, puma560_urdf, urdf_text
+from tests.example_robots import ZERO, Joint, Link, Vector, puma560_urdf, urdf_text
 
 PI, HALF = math.pi, math.pi / 2
 Y: Vector = (0.0, 1.0, 0.0)

@@ -15,8 +15,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
-import robots
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from tests import robots
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 

@@ -25,9 +25,9 @@ from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.readings import make_channels
 from bayesid.robot import inertia
-from bayesid.robot.examples import PAPER_ESTIMATE, PAPER_LABELS, paper_base_map
 from bayesid.signals.filters import LowPass, low_pass
 from bayesid.workflows.demo import puma_friction, puma_setup
+from tests.example_robots import PAPER_ESTIMATE, PAPER_LABELS, paper_base_map
 
 HERE = Path(__file__).parent
 STEP = 0.008  # the paper's sampling

@@ -13,15 +13,19 @@ checked without rounding errors, so neither bound rests on the solver.
 
 from __future__ import annotations
 
+import sys
 import warnings
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 
 import cvxpy as cp
 import numpy as np
 
 from bayesid.robot import inertia
-from bayesid.robot.examples import PAPER_ESTIMATE
+
+sys.path.append(str(Path(__file__).parents[2]))
+from tests.example_robots import PAPER_ESTIMATE
 
 PRINTED = [Fraction(repr(value)) for value in PAPER_ESTIMATE]  # the decimals as printed
 A2 = Fraction("0.4318")  # length of the upper arm [m], Armstrong et al. 1986

@@ -28,7 +28,7 @@ from feasibility import (
 )
 from present import figure, fill, plain, tables
 
-from bayesid.robot.examples import PAPER_ESTIMATE, PAPER_LABELS
+from tests.example_robots import PAPER_ESTIMATE, PAPER_LABELS
 
 HERE = Path(__file__).parent
 PUMA_560_FROM_LINK_2 = 17.4 + 4.8 + 0.82 + 0.34 + 0.09  # kg, Armstrong et al. 1986; link 1 is not published

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,8 +11,10 @@ import numpy as np
 import pinocchio as pin
 
 import bayesid
-from bayesid.robot.examples import Joint, Link, Vector, urdf_text
 from bayesid.simulation.simulation import perturbed_links
+
+sys.path.append(str(Path(__file__).parents[2]))
+from tests.example_robots import Joint, Link, Vector, urdf_text
 
 SEED = 7
 TRUST = 0.15

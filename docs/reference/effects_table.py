@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,8 +13,10 @@ from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.effects import Effect, EffectLibrary
 from bayesid.effects.friction import BRISTLE_MEMORY
 from bayesid.effects.play import FASTEST
-from bayesid.robot.examples import puma560_urdf
 from bayesid.robot.robot import load_robot
+
+sys.path.append(str(Path(__file__).resolve().parents[2]))
+from tests.example_robots import puma560_urdf
 
 PAGE = Path(__file__).resolve().parent / "effects.md"
 LIBRARY = EffectLibrary()

@@ -16,10 +16,10 @@ import time
 from pathlib import Path
 
 import bayesid
-from bayesid.robot.examples import puma560_urdf
 from bayesid.robot.robot import load_robot
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from tests.example_robots import puma560_urdf
 from tests.studies.page import STUDIES, write_page
 
 PAGE = """\

@@ -18,7 +18,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import bayesid
-from bayesid.robot.examples import puma560_urdf
 from bayesid.robot.robot import load_robot
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -26,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from run import FIGAROH
 
+from tests.example_robots import puma560_urdf
 from tests.studies.page import STUDIES, write_numbers, write_page
 
 PAGE = """\

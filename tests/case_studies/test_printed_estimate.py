@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import linprog, minimize
 
 from bayesid.robot import inertia
-from bayesid.robot.examples import PAPER_ESTIMATE, paper_base_map
+from tests.example_robots import PAPER_ESTIMATE, paper_base_map
 
 STUDY = Path(__file__).parents[2] / "case_studies" / "printed_estimate"
 MODULES = ("run", "present", "feasibility")

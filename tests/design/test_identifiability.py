@@ -10,14 +10,15 @@ import pytest
 import bayesid
 from bayesid.effects.surroundings import STILL
 from bayesid.regression.problem import prepare
-from bayesid.robot import examples
+from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import load_robot
 from bayesid.simulation.trajectories import fourier_trajectory
 from tests import robots
+from tests.example_robots import paper_base_map
 from tests.robots import write
 from tests.simulated import experiment, fourier, puma2, recording
 
-TWO = (examples.puma_two_joint_urdf, ["joint1", "joint2"], examples.PAPER_LOCKED)
+TWO = (puma_two_joint_urdf, ["joint1", "joint2"], PAPER_LOCKED)
 ARMS = {"puma2": TWO, "ur5": (robots.ur5,), "panda": (robots.panda,), "lwr4": (robots.lwr4,)}
 #: Known ranks: wrench less a static run, offsets fitted, offsets known; torque; both, offsets fitted, offsets known.
 RANKS = {
@@ -90,7 +91,7 @@ def test_the_papers_two_joints(tmp_path):
     found = bayesid.identifiability(robot, fourier_trajectory(robot, duration=20.0))
     assert tuple(r.rank for r in found.sensor_sets) == RANKS["puma2"]
     main = found["wrench-static"]
-    published = examples.paper_base_map() != 0  # the paper's combinations, printed
+    published = paper_base_map() != 0  # the paper's combinations, printed
     names = np.array([p.name for p in main.parameters])
     alone = published[published.sum(axis=1) == 1].any(axis=0)
     assert [p.name for p in main.parameters if p.kind == "alone"] == names[alone].tolist() and alone.sum() == 9

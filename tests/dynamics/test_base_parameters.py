@@ -4,8 +4,8 @@ import pytest
 from bayesid.dynamics.base_parameters import regroup, structural_base
 from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.dynamics.regressors import dynamics_regressor
-from bayesid.robot.examples import PAPER_LABELS, paper_base_map
 from bayesid.robot.robot import load_robot
+from tests.example_robots import PAPER_LABELS, paper_base_map
 from tests.robots import lwr4, panda, prismatic_arm, tree, ur5, ur10, wrist_sensor_arm, write
 from tests.simulated import puma2
 

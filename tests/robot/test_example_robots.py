@@ -8,7 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from bayesid.robot import examples
+from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
+from tests import example_robots as examples
 from tests.robots import ROBOTS, write
 
 # Moving joints, total mass without the root [kg].
@@ -26,12 +27,12 @@ EXPECTED = {
 
 def two_joint_model(floating: bool) -> pin.Model:
     root = pin.JointModelFreeFlyer() if floating else None
-    text = examples.puma_two_joint_urdf()
+    text = puma_two_joint_urdf()
     model = pin.buildModelFromXML(text, root) if root is not None else pin.buildModelFromXML(text)
     reference = pin.neutral(model)
-    for name, angle in examples.PAPER_LOCKED.items():
+    for name, angle in PAPER_LOCKED.items():
         reference[model.joints[model.getJointId(name)].idx_q] = angle
-    return pin.buildReducedModel(model, [model.getJointId(n) for n in examples.PAPER_LOCKED], reference)
+    return pin.buildReducedModel(model, [model.getJointId(n) for n in PAPER_LOCKED], reference)
 
 
 def link_parameters(model: pin.Model) -> np.ndarray:
@@ -82,9 +83,13 @@ def test_every_link_is_a_possible_body(name):
         assert moments[0] > 0 and moments[2] < moments[0] + moments[1]
 
 
+def test_two_joint_puma_is_as_it_is_written_from_the_published_numbers():
+    assert puma_two_joint_urdf() == examples.puma_two_joint_urdf()
+
+
 def test_two_joint_puma_is_the_six_joint_puma_in_other_frames():
     six = pin.buildModelFromXML(examples.puma560_urdf())
-    two = pin.buildModelFromXML(examples.puma_two_joint_urdf())
+    two = pin.buildModelFromXML(puma_two_joint_urdf())
     q, v, a = np.random.default_rng(1).uniform(-1, 1, (3, 6))
     sign = np.array([1, -1, 1, 1, 1, 1])  # joint 2 counts the other way
     torque = pin.rnea(six, six.createData(), q, v, a)

@@ -18,8 +18,8 @@ from bayesid.diagnosis.changes import findings
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.recordings.experiment import Sensor
 from bayesid.robot import inertia
-from bayesid.robot.examples import Joint, urdf_text
 from bayesid.simulation.trajectories import Trajectory
+from tests.example_robots import Joint, urdf_text
 from tests.robots import body, panda, puma560, tree, wrist_sensor_arm, write
 from tests.simulated import experiment, puma2
 

@@ -13,8 +13,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from bayesid.robot.examples import Joint, Link, urdf_text
 from bayesid.robot.robot import Robot, load_robot
+from tests.example_robots import Joint, Link, urdf_text
 from tests.simulated import Sensor, fourier, recording
 
 START = 1_700_000_000_000_000_000  # [ns since 1970]
