@@ -21,7 +21,7 @@ from .families import (
     TransmissionEffect,
 )
 from .library import EffectLibrary, load_effects
-from .linearised import Point, linearised, moved, reach_of, starting_point
+from .linearised import Point, linearised, reach_of, starting_point
 from .loads import ExternalContact
 from .model import Model
 from .segment import REST_SPEED, MotionSegment, middle_of
@@ -59,7 +59,6 @@ __all__ = [
     "linearised",
     "load_effects",
     "middle_of",
-    "moved",
     "reach_of",
     "readings",
     "rigid_columns",

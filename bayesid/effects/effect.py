@@ -24,55 +24,25 @@ from bayesid.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What an effect may want to know of the recordings that it is sought in.
+    """What an effect may want to know of the recordings that it is sought in."""
 
-    Attributes
-    ----------
-    robot
-        The nominal robot.
-    mean_places
-        Mean position of each link's frame over the fitted motions, in the base frame (n, 3) [m].
-    joint_inertia
-        Mean inertia that each joint feels over the first fitted motion (n,) [kg m^2 or kg].
-    moving
-        Whether each joint moves in the fitted motions (n,).
-    links_known
-        Whether a prior standard deviation of the nominal links is stated.
-    both_channels
-        Whether wrench and torques are compared together.
-    static_run
-        Whether static readings are among those compared, which remove a constant offset.
-    base_sensor
-        Whether the readings of a sensor under the base are compared.
-    """
-
-    robot: Robot
-    mean_places: np.ndarray
-    joint_inertia: np.ndarray
-    moving: np.ndarray
-    links_known: bool
-    both_channels: bool
-    static_run: bool
-    base_sensor: bool
+    robot: Robot  # the nominal robot
+    mean_places: np.ndarray  # mean position of each link's frame over the fitted motions, in the base frame (n, 3) [m]
+    joint_inertia: np.ndarray  # mean inertia that each joint feels over the first fitted motion (n,) [kg m^2 or kg]
+    moving: np.ndarray  # whether each joint moves in the fitted motions (n,)
+    links_known: bool  # whether a prior standard deviation of the nominal links is stated
+    both_channels: bool  # whether wrench and torques are compared together
+    static_run: bool  # whether static readings are among those compared, which remove a constant offset
+    base_sensor: bool  # whether the readings of a sensor under the base are compared
 
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """Values at which an effect's derivatives are taken as columns, and what amplitudes of these columns mean.
+    """Values at which an effect's derivatives are taken as columns, and what amplitudes of these columns mean."""
 
-    Attributes
-    ----------
-    at
-        The values (k,).
-    to_values
-        From amplitudes of the columns (k,) to values (k,), or to several starts (m, k).
-    to_amplitudes
-        From values (k,) to amplitudes (k,).
-    """
-
-    at: np.ndarray
-    to_values: Callable[[np.ndarray], np.ndarray]
-    to_amplitudes: Callable[[np.ndarray], np.ndarray]
+    at: np.ndarray  # the values (k,)
+    to_values: Callable[[np.ndarray], np.ndarray]  # from amplitudes of the columns (k,) to values (k,), or several starts (m, k)
+    to_amplitudes: Callable[[np.ndarray], np.ndarray]  # from values (k,) to amplitudes (k,)
 
     @classmethod
     def holding(cls, at: np.ndarray, held: np.ndarray, away: np.ndarray | float = 0.0) -> Linearisation:
@@ -395,18 +365,10 @@ class Effect(ABC):
 
 @dataclass(frozen=True)
 class Term:
-    """An effect with values of its parameters.
-
-    Attributes
-    ----------
-    effect
-        Which, and where.
-    values
-        One number a parameter, in the order of ``effect.parameters``.
-    """
+    """An effect with values of its parameters."""
 
     effect: Effect
-    values: tuple[float, ...]
+    values: tuple[float, ...]  # one number a parameter, in the order of ``effect.parameters``
 
     def __post_init__(self):
         object.__setattr__(self, "values", tuple(float(v) for v in self.values))

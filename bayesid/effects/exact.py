@@ -8,27 +8,18 @@ import numpy as np
 
 from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.kinematics import P, R, link_columns
+from bayesid.effects import families
 from bayesid.effects.bodies import body_of, split_matrix
 from bayesid.effects.effect import Effect, Term
-from bayesid.effects.families import (
-    BodyEffect,
-    FlexibleJointEffect,
-    GravityEffect,
-    JointGainEffect,
-    JointTorqueEffect,
-    LoadEffect,
-    MountEffect,
-    PlayEffect,
-    ReadingEffect,
-    RotorEffect,
-    SensorEffect,
-    differences,
-)
+from bayesid.effects.families import differences
 from bayesid.effects.flexible import Motion
 from bayesid.effects.model import Model
 from bayesid.effects.play import LARGE
 from bayesid.effects.segment import MotionSegment
 from bayesid.robot.robot import Robot
+
+#: Effects with which links are elsewhere than motors hold them.
+_GIVING = (families.PlayEffect, families.FlexibleJointEffect, families.MountEffect)
 
 
 def tangent(model: Model, change: np.ndarray) -> np.ndarray:
@@ -36,10 +27,10 @@ def tangent(model: Model, change: np.ndarray) -> np.ndarray:
     drives = model.torque_chain
     motors = drives.at_motors(change)
     change = drives.late(model.segment, motors)
-    sensor = len(model.wrench) and model.of_family(SensorEffect)
-    loaded = [(e, v) for e, v in model.of_family(JointTorqueEffect) if e.uses_load and e.joint in model.joints]
-    on_top = model.of_family(ReadingEffect)
-    gains = model.of_family(JointGainEffect)
+    sensor = len(model.wrench) and model.of_family(families.SensorEffect)
+    loaded = [(e, v) for e, v in model.of_family(families.JointTorqueEffect) if e.uses_load and e.joint in model.joints]
+    on_top = model.of_family(families.ReadingEffect)
+    gains = model.of_family(families.JointGainEffect)
     if not (sensor or loaded or on_top or gains):
         return change
     out = np.array(change)
@@ -77,47 +68,48 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
     if not any(effect.acts_on(c) for c in model.channels.names):
         return out
     match effect:
-        case SensorEffect():
+        case families.SensorEffect():
             true = model.true[:, model.wrench]
             out[:, model.wrench] = effect.columns(model.chain(without=effect), model.segment, true, values)
-        case JointGainEffect() | JointTorqueEffect() if effect.joint not in model.joints:
+        case families.JointGainEffect() | families.JointTorqueEffect() if effect.joint not in model.joints:
             pass
-        case JointGainEffect():
+        case families.JointGainEffect():
             k = model.joints[effect.joint]
             share = differences(effect, values, lambda v: np.full(1, effect.gain(v)))
             out[:, k] = model.ungained[:, k, None] * share
-        case JointTorqueEffect():
+        case families.JointTorqueEffect():
             out[:, model.joints[effect.joint]] = effect_derivatives_at_joint(model, effect, values)
-        case ReadingEffect():
+        case families.ReadingEffect():
             added = differences(effect, values, lambda v: effect.added(model.readout, v))
             out = model.torque_chain.late(model.segment, added) * model.torque_chain.gain[:, None]
-        case BodyEffect():
+        case families.BodyEffect():
             at = body_of(model.robot, effect.joint)
             rows, carried = model.row_of[at : at + 1], model.carries[:, at : at + 1]
             unit = link_columns(model.states, model.twists, rows, carried, model.gravity)
             out = tangent(model, unit if effect.is_ten_parameters else unit @ differences(effect, values, effect.body))
-        case RotorEffect():
+        case families.RotorEffect():
             unit = model.rotor_reading(model.channels, model.carries, model.states, model.twists, effect)
             share = differences(effect, values, lambda v: np.array(effect.inertia(v)))
             out = tangent(model, unit[:, :, None] * share)
-        case LoadEffect():
+        case families.LoadEffect():
             out = tangent(model, _load_columns(model, effect, values))
-        case GravityEffect() if not any(model.of_family(f) for f in (PlayEffect, FlexibleJointEffect, MountEffect)):
-            out = tangent(model, _weight(model) @ differences(effect, values, lambda v: model.changed(Term(effect, v)).gravity))
-        case PlayEffect() if _without_play(model, effect):
+        case families.GravityEffect() if not any(model.of_family(f) for f in _GIVING):
+            turned = differences(effect, values, lambda v: model.changed(Term(effect, v)).gravity)
+            out = tangent(model, _weight(model) @ turned)
+        case families.PlayEffect() if _without_play(model, effect):
             out = tangent(model, _play_columns(model, effect, values))
         case _:
             out = differences(effect, values, lambda v: model.changed(Term(effect, v)).readings)
     return out
 
 
-def effect_derivatives_at_joint(model: Model, effect: JointTorqueEffect, values: tuple[float, ...]) -> np.ndarray:
+def effect_derivatives_at_joint(model: Model, effect: families.JointTorqueEffect, values: tuple[float, ...]) -> np.ndarray:
     """Derivative of the reading of a joint's torque with respect to the parameters of what is inside that joint (N, k)."""
     motion = model.joint_motion(effect)
     return differences(effect, values, lambda v: effect.torque(motion, v)) * model.torque_chain.gain[model.joints[effect.joint]]
 
 
-def _load_columns(model: Model, effect: LoadEffect, values: tuple[float, ...]) -> np.ndarray:
+def _load_columns(model: Model, effect: families.LoadEffect, values: tuple[float, ...]) -> np.ndarray:
     """Derivative of what the channels read of loads from outside (N, c, k), from that of their wrenches."""
     out = np.zeros((len(model.segment.times), len(model.channels), len(values)))
     for body, wrench in effect.load_columns(model.robot, model.segment, model.states, values):
@@ -125,14 +117,14 @@ def _load_columns(model: Model, effect: LoadEffect, values: tuple[float, ...]) -
     return out
 
 
-def _without_play(model: Model, effect: PlayEffect) -> bool:
+def _without_play(model: Model, effect: families.PlayEffect) -> bool:
     """Whether a joint's play is none as yet, and links are elsewhere where motors hold them."""
-    gives = [t for family in (PlayEffect, FlexibleJointEffect, MountEffect) for t in model.of_family(family)]
+    gives = [t for family in _GIVING for t in model.of_family(family)]
     values = next(values for own, values in gives if own == effect)
     return len(gives) == 1 and not effect.lean(np.array([-LARGE, LARGE]), values).any()
 
 
-def _play_columns(model: Model, effect: PlayEffect, values: tuple[float, ...]) -> np.ndarray:
+def _play_columns(model: Model, effect: families.PlayEffect, values: tuple[float, ...]) -> np.ndarray:
     """Derivative of what there is to read with respect to a play that is none as yet (N, c, k)."""
     rigid = Model(model.robot, model.channels, model.segment, model.links, tuple(t for t in model.terms if t.effect != effect))
     joint, out = effect.joint or 0, np.zeros((len(model.segment.times), len(model.channels), len(values)))
@@ -140,7 +132,9 @@ def _play_columns(model: Model, effect: PlayEffect, values: tuple[float, ...]) -
     for k, move in enumerate(moves):
         if any(part.any() for part in move):
             step = effect.quantities[k].step
-            ahead, back = (rigid.true_of(_moved(rigid.held_by_motors, joint, move, h)) for h in (step, -step))
+            ahead, back = (
+                rigid.taken(rigid.channels, rigid.carries, _moved(rigid.held_by_motors, joint, move, h)) for h in (step, -step)
+            )
             out[:, :, k] = (ahead - back) / (2.0 * step)
     return out
 
@@ -174,30 +168,10 @@ def readings(
     *,
     gravity: bool = True,
 ) -> np.ndarray:
-    """What the channels read, everything included: a base sensor's load of the root link, too.
+    """What the channels read (N, c) [N, N m], everything included: a base sensor's load of the root link, too.
 
-    Parameters
-    ----------
-    robot, channels
-        What moves and what is measured.
-    segment
-        How it moves.
-    links
-        Ten parameters a body (b, 10) or (10 b,).
-    terms
-        The effects with their values.
-    gravity
-        False: less what the same positions read at rest (equation 21 of [Liu1998]_), free of offset and weight.
-
-    Returns
-    -------
-    readings
-        (N, c) [N, N m].
-
-    Raises
-    ------
-    InputError
-        Links of the wrong shape.
+    ``links`` are ten parameters a body (b, 10) or (10 b,), an `InputError` where they are not. Without ``gravity`` it is less
+    what the same positions read at rest (equation 21 of [Liu1998]_), free of offset and weight.
     """
     return _of_motion(lambda model: model.readings, robot, channels, segment, links, terms, gravity)
 
@@ -214,8 +188,6 @@ def rigid_columns(
     """Derivative of `readings` with respect to the links' parameters, (N, c, 10 b).
 
     The links' motion is held: how a flexible joint or mount gives way to a change of the links is not part of it.
-
-    Parameters and errors are those of `readings`.
     """
     return _of_motion(link_derivatives, robot, channels, segment, links, terms, gravity)
 
@@ -231,17 +203,9 @@ def columns(
     *,
     gravity: bool = True,
 ) -> np.ndarray:
-    """Derivative of `readings` with respect to an effect's parameters, (N, c, k).
+    """Derivative of `readings` with respect to the parameters of an effect, one of the terms' or another, (N, c, k).
 
-    Parameters
-    ----------
-    robot, channels, segment, links, terms, gravity
-        As in `readings`.
-    effect
-        One of the terms' or another.
-    values
-        Where to take the derivative; default the term's own values, or the effect's starts where it is no
-        term yet.
+    It is taken at ``values``; default the term's own, or the effect's starts where it is no term yet.
     """
     own = next((t.values for t in terms if t.effect == effect), effect.starts)
     here = Term(effect, tuple(own if values is None else values))

@@ -98,19 +98,9 @@ class EffectLibrary:
     def with_expressions(self, tables: Mapping[str, Mapping[str, Any]], joints: int | None, source: str) -> EffectLibrary:
         """A library with the effects of ``[model.expressions]``; they take the place of formulas of the same name.
 
-        Parameters
-        ----------
-        tables
-            By the effect's name, see `bayesid.effects.expressions.expression_effect`.
-        joints
-            How many the robot has; None where that is not known yet, see `for_robot`.
-        source
-            The file, for messages.
-
-        Raises
-        ------
-        InputError
-            A formula, reading or parameter cannot be, or a name is taken.
+        Tables are by the effect's name, see `bayesid.effects.expressions.expression_effect`; ``joints`` is how many the robot has
+        (None: not known yet, see `for_robot`), and ``source`` the file, for messages. An `InputError` where a formula, reading or
+        parameter cannot be, or a name is taken.
         """
         if not tables:
             return self
@@ -124,10 +114,7 @@ class EffectLibrary:
     def for_robot(self, joints: int, sliding: Iterable[int] = ()) -> EffectLibrary:
         """The library with all formulas checked against a robot with so many joints, some of which slide (their indices).
 
-        Raises
-        ------
-        InputError
-            A formula names a joint that the robot does not have.
+        An `InputError` where a formula names a joint that the robot does not have.
         """
         out = replace(self, sliding=tuple(sliding))
         for name, table in self.expressions.items():
@@ -135,13 +122,7 @@ class EffectLibrary:
         return out
 
     def named(self, name: str, spec: str | None = None, fault: str = "no effect is called '{}'") -> type[Effect]:
-        """The class of this name.
-
-        Raises
-        ------
-        InputError
-            There is none; the message names the nearest one.
-        """
+        """The class of this name; an `InputError` that names the nearest one where there is none."""
         if name in self.classes:
             return self.classes[name]
         words = {word: c for c in reversed(list(self.classes)) for word in c.split("_")}
@@ -152,18 +133,9 @@ class EffectLibrary:
     def places(
         self, name: str, joint_names: Sequence[str], channels: Sequence[str], gear_ratio: Mapping[str, float] | None = None
     ) -> tuple[Effect, ...]:
-        """All effects of one class that can change one of the channels.
+        """All effects of the class of a name that can change one of the channels, by their names.
 
-        Parameters
-        ----------
-        name
-            Of the class.
-        joint_names
-            The URDF's names in the order of q1 ... qn.
-        channels
-            Names of the channels.
-        gear_ratio
-            By the joint's name.
+        Joints have the URDF's names, in the order of q1 ... qn; gear ratios are by these.
         """
         c = self.classes[name]
         if not any(c.acts_on(channel) for channel in channels):
@@ -200,23 +172,10 @@ class EffectLibrary:
         channels: Sequence[str],
         gear_ratio: Mapping[str, float] | None = None,
     ) -> tuple[Effect, ...]:
-        """Effects from their specifications, those that act on the given channels.
+        """Effects from their specifications, those that act on the given channels; the rest is as for `places`.
 
-        Parameters
-        ----------
-        specs
-            Each ``name``, which means everywhere, or ``name@where``.
-        joint_names
-            The URDF's names in the order of q1 ... qn; ``joint1`` ... ``jointn`` are understood too.
-        channels
-            Names of the channels in use; an effect that shows in none of them is left out.
-        gear_ratio
-            By the joint's name.
-
-        Raises
-        ------
-        InputError
-            Unknown name or place.
+        Each is ``name``, which means everywhere, or ``name@where``, where ``joint1`` ... ``jointn`` are understood beside the
+        URDF's names. An `InputError` where a name or place is unknown.
         """
         effects: dict[str, Effect] = {}
         for spec in specs:
@@ -238,23 +197,11 @@ class EffectLibrary:
         self, specs: Sequence[str], known: Collection[str], joint_names: Sequence[str], channels: Sequence[str],
         gear_ratio: Mapping[str, float], channel: str,
     ) -> tuple[Effect, ...]:  # fmt: skip
-        """Effects to be told apart from their specifications, as in `parse`.
+        """Effects to be told apart from their specifications, as in `parse`: ``name@where``, or ``name`` of one place.
 
-        Parameters
-        ----------
-        specs
-            ``name@where``, or ``name`` alone where there is one place; at least two.
-        known
-            Specifications of the model's effects.
-        joint_names, channels, gear_ratio
-            As in `parse`.
-        channel
-            What the channels in use are called together, for messages.
-
-        Raises
-        ------
-        InputError
-            Fewer than two, an unknown name or place, several places, or an effect that is in the model or acts on no reading.
+        ``known`` are specifications of the model's effects, and ``channel`` is what the channels are called together, for
+        messages. An `InputError` where there are fewer than two, a name or place is unknown, there are several places, or an
+        effect is in the model or acts on no reading.
         """
         rivals: dict[str, Effect] = {}
         for spec in specs:
@@ -270,7 +217,7 @@ class EffectLibrary:
             if len(found) > 1:
                 places = ", ".join([e.spec for e in found][:3])
                 raise InputError(f"{argument('tell', spec)}: could be at {len(found)} places; name one, as in {places}")
-            effect = next(iter(found))
+            effect = found[0]
             if effect.spec in known:
                 raise InputError(
                     f"{argument('tell', spec)}: is in the model already; take it out of [model] effects to tell it from others"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,30 +17,14 @@ from bayesid.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Where the readings are linearised.
+    """Where the readings are linearised."""
 
-    Attributes
-    ----------
-    links
-        Ten parameters a body (b, 10).
-    base
-        The base parameters that belong to them (r,).
-    values
-        Of all effects' parameters, one after the other; of one that absorbs weight, with that.
-    free
-        Which of them are estimated.
-    absorbed
-        What an effect that absorbs weight holds of it, by axis, (6,) [N, N m].
-    middle
-        Joint positions at the middle of the motion (n,), or None.
-    """
-
-    links: np.ndarray
-    base: np.ndarray
-    values: np.ndarray
-    free: np.ndarray
-    absorbed: np.ndarray
-    middle: np.ndarray | None = None
+    links: np.ndarray  # ten parameters a body (b, 10)
+    base: np.ndarray  # the base parameters that belong to them (r,)
+    values: np.ndarray  # of all effects' parameters, one after the other; of one that absorbs weight, with that
+    free: np.ndarray  # which of them are estimated
+    absorbed: np.ndarray  # what an effect that absorbs weight holds of it, by axis, (6,) [N, N m]
+    middle: np.ndarray | None = None  # joint positions at the middle of the motion (n,)
 
     def terms(self, effects: Sequence[Effect]) -> tuple[Term, ...]:
         """The effects with their values; of one that absorbs weight, what is its own."""
@@ -74,24 +58,11 @@ def linearised(
     *,
     gravity: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Columns and target of the linear model about a point.
+    """Columns (N, c, r) and (N, c, free effect parameters) and target (N, c) of the linear model about a point.
 
-    Parameters
-    ----------
-    robot, channels, segment, effects, point
-        The model.
-    independent
-        Indices of the links' parameters that are base parameters (r,).
-    measured
-        Readings, the static load of a base sensor included (N, c).
-    gravity
-        False: of measured readings less those at rest.
-
-    Returns
-    -------
-    rigid, others, target
-        (N, c, r), (N, c, free effect parameters), (N, c): what is measured less what the point reads, plus what
-        the columns make of the point.
+    ``independent`` are the indices of the links' parameters that are base parameters (r,); ``measured`` are readings, the static
+    load of a base sensor included (N, c), without ``gravity`` less those at rest. The target is what is measured less what the
+    point reads, plus what the columns make of the point.
     """
     terms = point.terms(effects)
     rigid = rigid_columns(robot, channels, segment, point.links, terms, gravity=gravity)[:, :, independent]
@@ -131,8 +102,3 @@ def starting_point(
         values += own.values()
         free += [not given.get("fixed", False)] * len(own)
     return np.array(values, float), np.array(free, bool)
-
-
-def moved(point: Point, links: np.ndarray, base: np.ndarray, values: np.ndarray, absorbed: np.ndarray) -> Point:
-    """The point at other values."""
-    return replace(point, links=links, base=base, values=values, absorbed=absorbed)

@@ -26,28 +26,10 @@ import numpy as np
 
 from bayesid.dynamics.channels import Channels, torque_channels
 from bayesid.dynamics.kinematics import body_wrenches, channel_twists, is_wrench, link_states, project, readings_of_bodies
+from bayesid.effects import families
 from bayesid.effects.bodies import body_of, rotor_couple, split_matrix
 from bayesid.effects.effect import Effect, Term, by_class
-from bayesid.effects.families import (
-    BodyEffect,
-    EncoderEffect,
-    FlexibleJointEffect,
-    GravityEffect,
-    InstrumentEffect,
-    JointDelayEffect,
-    JointGainEffect,
-    JointMotion,
-    JointTorqueEffect,
-    LoadEffect,
-    Loads,
-    MountEffect,
-    PlayEffect,
-    ReadingEffect,
-    Readout,
-    RotorEffect,
-    SensorEffect,
-    TransmissionEffect,
-)
+from bayesid.effects.families import JointMotion, Loads, Readout
 from bayesid.effects.flexible import Motion, link_motion, own_inertia, splines
 from bayesid.effects.mount import RigidMountLoad, mount_motion
 from bayesid.effects.play import Behind, Fitting, Recorded, leaning_poses
@@ -66,26 +48,15 @@ FLEXIBLE_BANDWIDTH = 0.7
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A robot with effects in one motion segment; results are made when they are asked for, and kept with the segment.
+    """A robot with effects in one motion segment; results are made when they are asked for, and kept with the segment."""
 
-    Attributes
-    ----------
-    robot, channels, segment
-        What moves, what is measured, and when.
-    links
-        Ten parameters a body (b, 10).
-    terms
-        The effects.
-    near
-        A model that this one is a small change of: what has more than one solution then follows that one's.
-    """
-
+    #: What moves, what is measured, and when.
     robot: Robot
     channels: Channels
     segment: MotionSegment
-    links: np.ndarray
+    links: np.ndarray  # ten parameters a body (b, 10)
     terms: tuple[Term, ...]
-    near: Model | None = None
+    near: Model | None = None  # one that this is a small change of: what has more than one solution then follows that one's
 
     @classmethod
     def of(cls, robot: Robot, channels: Channels, segment: MotionSegment, links: np.ndarray, terms: Sequence[Term]) -> Model:
@@ -134,7 +105,7 @@ class Model:
     def gravity(self) -> np.ndarray:
         """Gravity in the base frame, turned by the base's tilt (3,)."""
         gravity = self.robot.gravity
-        for effect, values in self.of_family(GravityEffect):
+        for effect, values in self.of_family(families.GravityEffect):
             gravity = effect.turned(gravity, values)
         return np.asarray(gravity, float)
 
@@ -145,7 +116,7 @@ class Model:
         out = np.vstack([self.links, robot.static_nominal])
         for body in range(robot.n, len(robot.body_names)):
             out[body] = split_matrix(robot, body) @ out[body]
-        for effect, values in self.of_family(BodyEffect):
+        for effect, values in self.of_family(families.BodyEffect):
             out[body_of(robot, effect.joint)] += effect.body(values)
         return out
 
@@ -158,14 +129,14 @@ class Model:
     def _encoder_shift(self) -> np.ndarray:
         """What encoders read too much (n,)."""
         shift = np.zeros(self.robot.n)
-        for effect, values in self.of_family(EncoderEffect):
+        for effect, values in self.of_family(families.EncoderEffect):
             shift[effect.joint] += effect.shift(values)
         return shift
 
     @cached_property
     def transmission(self) -> np.ndarray | None:
         """From the motors' positions to the joints', (1 + C)^-1 (n, n); None where no transmissions are coupled."""
-        coupled = self.of_family(TransmissionEffect)
+        coupled = self.of_family(families.TransmissionEffect)
         return np.linalg.inv(coupling_matrix(self.robot, coupled)) if coupled else None
 
     def _at_joints(self, motors: np.ndarray) -> np.ndarray:
@@ -181,14 +152,14 @@ class Model:
     @cached_property
     def _physical(self) -> tuple[Term, ...]:
         """Effects that change what there is to read, not how it is read."""
-        return tuple(t for t in self.terms if InstrumentEffect not in type(t.effect).__mro__)
+        return tuple(t for t in self.terms if families.InstrumentEffect not in type(t.effect).__mro__)
 
     # -- the motion
 
     @property
     def _pose(self) -> tuple[Term, ...]:
         """What changes where encoders are understood to say that joints are."""
-        return (*self._by_family.get(EncoderEffect, ()), *self._by_family.get(TransmissionEffect, ()))
+        return (*self._by_family.get(families.EncoderEffect, ()), *self._by_family.get(families.TransmissionEffect, ()))
 
     @cached_property
     def _key(self) -> tuple:
@@ -200,7 +171,7 @@ class Model:
     @property
     def _followed(self) -> tuple | None:
         """The motion that links with play follow, of more than one that there may be."""
-        return None if self.near is None or not self.of_family(PlayEffect) else self.near._key
+        return None if self.near is None or not self.of_family(families.PlayEffect) else self.near._key
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -210,10 +181,10 @@ class Model:
     def _states(self) -> np.ndarray:
         robot, segment = self.robot, self.segment
         q, v, a = self.held_by_motors
-        if self.of_family(PlayEffect) or self.of_family(FlexibleJointEffect):
+        if self.of_family(families.PlayEffect) or self.of_family(families.FlexibleJointEffect):
             q, v, a = self.link_side(q, v, a)
         root = None
-        for effect, values in self.of_family(MountEffect):
+        for effect, values in self.of_family(families.MountEffect):
             others = tuple(t for t in self._physical if t.effect != effect)
             key = ("mount load", self.robot.fingerprint, self._pose, self.links.tobytes(), others, self._followed)
             load = segment.joints.get(
@@ -233,20 +204,20 @@ class Model:
         total = body_wrenches(states, self.row_of, self.bodies, self.gravity).sum(axis=1)
         for _, force in self._loads(states):
             total -= force
-        for rotor, size in self.of_family(RotorEffect):
+        for rotor, size in self.of_family(families.RotorEffect):
             total += rotor.inertia(size) * self._rotor(states, rotor)[1]
         return total[:, 3:]
 
     def link_side(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Link-side motion of joints with play or that give, from the motors'."""
         segment, poses = self.segment, self.segment.still or len(q) < 8
-        if play := self.of_family(PlayEffect):
+        if play := self.of_family(families.PlayEffect):
             motor = q, v, a
             q, v, a = (
                 leaning_poses(motor, play, self.link_torque) if poses else self._recorded.leaning_motion(motor, self._behind)
             )
         compliance, felt = np.zeros(self.robot.n), np.zeros_like(q)
-        for effect, values in self.of_family(FlexibleJointEffect):
+        for effect, values in self.of_family(families.FlexibleJointEffect):
             compliance[effect.joint] += effect.compliance(values)
         for joint in map(int, np.flatnonzero(compliance)):
             felt[:, joint] = own_inertia(self.link_torque, q, joint) if play else self._felt(joint)
@@ -270,18 +241,18 @@ class Model:
     @property
     def _stiff_key(self) -> tuple:
         """What torques depend on while no joint gives."""
-        others = tuple(t for t in self._physical if FlexibleJointEffect not in type(t.effect).__mro__)
+        others = tuple(t for t in self._physical if families.FlexibleJointEffect not in type(t.effect).__mro__)
         return (self.robot.fingerprint, self._pose, self.links.tobytes(), others)
 
     def link_torque(self, link: Motion, joints: np.ndarray) -> np.ndarray:
         """Torques (N, k) [N m or N] that a link motion takes of some joints (k,)."""
         channels = torque_channels(self.robot).only(joints)
         carries = np.hstack([channels.bodies, np.zeros((len(channels), 1), bool)])
-        return self._taken(channels, carries, link)
+        return self.taken(channels, carries, link)
 
-    def _taken(self, channels: Channels, carries: np.ndarray, link: Motion) -> np.ndarray:
+    def taken(self, channels: Channels, carries: np.ndarray, link: Motion) -> np.ndarray:
         """True wrench and link-side torques of some channels (N, c) if links moved so, (N, n) each, on a root at rest."""
-        if not (self.of_family(RotorEffect) or self.of_family(LoadEffect)):
+        if not (self.of_family(families.RotorEffect) or self.of_family(families.LoadEffect)):
             return readings_of_bodies(self.robot, channels, link, self.row_of, self.bodies, self.gravity, carries)
         states = link_states(self.robot, *link)
         return self._true(channels, carries, states, channel_twists(self.robot, channels, states), own=True)
@@ -304,7 +275,9 @@ class Model:
     def _behind(self) -> dict[int, Behind]:
         """How far links with play are behind their motors at the encoders' samples, by joint."""
         start = {} if self.near is None else self.near._behind
-        return self.segment.joints.get(("behind", self._key), lambda: self._recorded.behind(self.of_family(PlayEffect), start))
+        return self.segment.joints.get(
+            ("behind", self._key), lambda: self._recorded.behind(self.of_family(families.PlayEffect), start)
+        )
 
     @cached_property
     def _recorded(self) -> Recorded:
@@ -316,7 +289,7 @@ class Model:
             ("fitting", segment.bandwidth), lambda: Fitting.of(times, read, segment.bandwidth, segment.times)
         )
         motors = at.joint_motion_of_motors
-        others = tuple(t for t in self._physical if PlayEffect not in type(t.effect).__mro__)
+        others = tuple(t for t in self._physical if families.PlayEffect not in type(t.effect).__mro__)
 
         def inertia(joint: int) -> np.ndarray:
             key = ("inertia", joint, self.robot.fingerprint, self._pose, self.links.tobytes(), others)
@@ -328,11 +301,11 @@ class Model:
 
     def _loads(self, states: np.ndarray) -> Loads:
         out: Loads = []
-        for effect, values in self.of_family(LoadEffect):
+        for effect, values in self.of_family(families.LoadEffect):
             out += effect.loads(self.robot, self.segment, states, values)
         return out
 
-    def _rotor(self, states: np.ndarray, effect: RotorEffect):
+    def _rotor(self, states: np.ndarray, effect: families.RotorEffect):
         assert effect.joint is not None
         q, v, a = self.motor
         joint = effect.joint
@@ -340,7 +313,7 @@ class Model:
             return rotor_couple(self.robot, states, joint, np.zeros(len(q)), np.zeros(len(q)))
         return rotor_couple(self.robot, states, joint, v[:, joint], a[:, joint])
 
-    def rotor_reading(self, channels: Channels, carries, states, twists, effect: RotorEffect) -> np.ndarray:
+    def rotor_reading(self, channels: Channels, carries, states, twists, effect: families.RotorEffect) -> np.ndarray:
         """What a rotor of unit inertia adds to each channel (N, c)."""
         body, couple, own = self._rotor(states, effect)
         out = np.einsum("nck,nk->nc", twists, couple) * carries[:, body]
@@ -353,7 +326,7 @@ class Model:
 
     def _true(self, channels: Channels, carries, states, twists, own: bool = False) -> np.ndarray:
         """True wrench and link-side torques of some channels (N, c)."""
-        rotors, loads = self.of_family(RotorEffect), self.of_family(LoadEffect)
+        rotors, loads = self.of_family(families.RotorEffect), self.of_family(families.LoadEffect)
         if own or not (rotors or loads or any(t.effect.amplifies_encoder_errors for t in self._physical)):
             out = project(twists, body_wrenches(states, self.row_of, self.bodies, self.gravity), carries)
         else:
@@ -363,10 +336,6 @@ class Model:
         for effect, values in rotors:
             out += effect.inertia(values) * self.rotor_reading(channels, carries, states, twists, effect)
         return out
-
-    def true_of(self, link: Motion) -> np.ndarray:
-        """What `true` would be if links moved so, (N, n) each, on a root at rest (N, c)."""
-        return self._taken(self.channels, self.carries, link)
 
     @cached_property
     def _of_bodies(self) -> np.ndarray:
@@ -395,7 +364,7 @@ class Model:
     def chain(self, *, without: Effect | None = None) -> SensorChain:
         """The sensor, with all its effects or all but one."""
         chain = SensorChain.of(self.robot, self.channels, self.wrench)
-        for effect, values in self.of_family(SensorEffect):
+        for effect, values in self.of_family(families.SensorEffect):
             if effect != without:
                 chain = effect.applied(chain, values)
         return chain
@@ -403,7 +372,7 @@ class Model:
     @cached_property
     def torque_chain(self) -> TorqueChain:
         """What is read of the torques that joints take."""
-        late, gains = self.of_family(JointDelayEffect), self.of_family(JointGainEffect)
+        late, gains = self.of_family(families.JointDelayEffect), self.of_family(families.JointGainEffect)
         return TorqueChain.of(self.joints, self.transmission, len(self.channels), late, gains)
 
     @cached_property
@@ -416,9 +385,9 @@ class Model:
         """True wrench, and what motors give for the joints' torques at the times that these are read for (N, c)."""
         return self.torque_chain.late(self.segment, self.readout.true)
 
-    def joint_motion(self, effect: JointTorqueEffect) -> JointMotion:
+    def joint_motion(self, effect: families.JointTorqueEffect) -> JointMotion:
         """What happens at the joint of an effect when its torque is read."""
-        joint, chain, pose = effect.joint, self.torque_chain, tuple(self._by_family.get(EncoderEffect, ()))
+        joint, chain, pose = effect.joint, self.torque_chain, tuple(self._by_family.get(families.EncoderEffect, ()))
         assert joint is not None
 
         def made(load: np.ndarray | None = None) -> JointMotion:
@@ -428,7 +397,7 @@ class Model:
             return made(self.given[:, self.joints[joint]])
         return self.segment.joints.get(("motion", joint, tuple(chain.delays.items()), pose), made)
 
-    def inside(self, effect: JointTorqueEffect, values: Sequence[float]) -> np.ndarray:
+    def inside(self, effect: families.JointTorqueEffect, values: Sequence[float]) -> np.ndarray:
         """What something inside a joint adds to its torque (N,)."""
         return effect.torque(self.joint_motion(effect), values)
 
@@ -438,10 +407,10 @@ class Model:
         out = np.array(self.given)
         if len(self.wrench):
             out[:, self.wrench] = self.chain().reading(self.segment, self.true[:, self.wrench])
-        for effect, values in self.of_family(JointTorqueEffect):
+        for effect, values in self.of_family(families.JointTorqueEffect):
             if effect.joint in self.joints:
                 out[:, self.joints[effect.joint]] += self.inside(effect, values)
-        for effect, values in self.of_family(ReadingEffect):
+        for effect, values in self.of_family(families.ReadingEffect):
             out += self.torque_chain.late(self.segment, effect.added(self.readout, values))
         return out
 

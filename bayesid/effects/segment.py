@@ -21,12 +21,8 @@ _SPLINE = 5  # degree of the interpolation that a delay is made with
 class Results:
     """The last few results by what they were made from; threads may share it.
 
-    Keys say by value all that a result depends on; none is an object's identity.
-
-    Parameters
-    ----------
-    most
-        How many results are kept; the one that was longest not asked for goes first.
+    Keys say by value all that a result depends on; none is an object's identity. Of more results than ``most`` the one that was
+    longest not asked for goes first.
     """
 
     def __init__(self, most: int = _KEPT):
@@ -55,45 +51,24 @@ class Results:
 
 @dataclass(frozen=True, eq=False)
 class MotionSegment:
-    """One gap-free segment of joint motion, smoothed.
+    """One gap-free segment of joint motion, smoothed."""
 
-    Attributes
-    ----------
-    times
-        (N,) [s].
-    positions, velocities, accelerations
-        What the encoders say, (N, n) each [rad or m and per second (squared)].
-    still
-        Whether every sample is a pose at rest of its own.
-    bandwidth
-        Of the joint motion [Hz].
-    middle
-        Joint positions at the middle of the motion (n,), for effects that refer to it; default `middle_of` this segment.
-    clear
-        Up to where motion stands out of the encoders' noise [Hz]: what is differentiated again is smoothed to this, default
-        a share of the bandwidth.
-    cell
-        Time that a sample stands for [s]: friction that reverses in it is its mean there. Zero: its value at the sample.
-    encoders
-        Times (M,) [s] and joint positions (M, n) that were smoothed; None: only `positions` are known.
-    in_turn
-        Whether poses at rest were read one after another, so that time counts between them, unlike those of a static run.
-    results, basis, joints
-        Link states and readings made lately, what depends on times and encoders' readings alone, and what stays the same while a
-        play, a compliance or a mount is varied.
-    """
-
-    times: np.ndarray
+    times: np.ndarray  # (N,) [s]
+    #: What the encoders say, (N, n) each [rad or m and per second (squared)].
     positions: np.ndarray
     velocities: np.ndarray
     accelerations: np.ndarray
-    still: bool = False
-    bandwidth: float = 10.0
-    middle: np.ndarray | None = None
+    still: bool = False  # whether every sample is a pose at rest of its own
+    bandwidth: float = 10.0  # of the joint motion [Hz]
+    middle: np.ndarray | None = None  # joint positions at the middle of the motion (n,); default `middle_of` this segment
+    #: Up to where motion stands out of the encoders' noise [Hz]: what is differentiated again is smoothed to this, default a
+    #: share of the bandwidth.
     clear: float | None = None
-    cell: float = 0.0
-    encoders: tuple[np.ndarray, np.ndarray] | None = None
-    in_turn: bool = False
+    cell: float = 0.0  # time that a sample stands for [s]: friction that reverses in it is its mean there; 0: that at the sample
+    encoders: tuple[np.ndarray, np.ndarray] | None = None  # times (M,) [s] and joint positions (M, n) that were smoothed
+    in_turn: bool = False  # whether poses at rest were read one after another, so that time counts between them
+    #: Link states and readings made lately, what depends on times and encoders' readings alone, and what stays the same while a
+    #: play, a compliance or a mount is varied.
     results: Results = field(default_factory=Results, init=False, repr=False)
     basis: Results = field(default_factory=partial(Results, _KEPT_OF_TIMES), init=False, repr=False)
     joints: Results = field(default_factory=partial(Results, _KEPT_OF_JOINTS), init=False, repr=False)

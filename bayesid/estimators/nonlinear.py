@@ -18,7 +18,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from bayesid.dynamics.base_parameters import nearest_links
-from bayesid.effects import Point, Surroundings, moved
+from bayesid.effects import Point, Surroundings
 from bayesid.effects.surroundings import surroundings_of
 from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, Huber, Physical, Student, estimator, fit
@@ -225,7 +225,8 @@ def _stepped(problem: Problem, here: Point, estimate: Estimate, step: np.ndarray
     wanted = here.base + share * np.where(seen, estimate.values - here.base, 0.0)
     links = nearest_links(row_model.robot, row_model.base, wanted, seen)
     absorbed = absorbed_offset(row_model.base, links)
-    return moved(here, links.reshape(-1, 10), row_model.base.matrix @ links, values, absorbed)
+    base = row_model.base.matrix @ links
+    return replace(here, links=links.reshape(-1, 10), base=base, values=values, absorbed=absorbed)
 
 
 def _cost(problem: Problem, point: Point, estimate: Estimate) -> float:

@@ -17,14 +17,13 @@ interval over 2 t.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from bayesid.dynamics.base_parameters import nearest_links
-from bayesid.effects import moved
 from bayesid.effects.families import LoadEffect
 from bayesid.estimators import Estimate
 from bayesid.regression.problem import Problem, relinearised
@@ -82,7 +81,8 @@ class HeldCombination:
         rank, values = model.base.rank, point.values.copy()
         values[point.free] = at[rank:]
         links = nearest_links(model.robot, model.base, at[:rank])
-        there = moved(point, links.reshape(-1, 10), at[:rank], values, absorbed_offset(model.base, links))
+        absorbed = absorbed_offset(model.base, links)
+        there = replace(point, links=links.reshape(-1, 10), base=at[:rank], values=values, absorbed=absorbed)
         left, slopes = [], []
         for block in relinearised(self.problem, there).regression.blocks():
             std = (self.estimate.noise.get(block.group) or next(iter(self.estimate.noise.values()))).std
