@@ -19,7 +19,7 @@ from scipy.stats import chi2, norm
 from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.spectra import SpectralSegment, sensor_noise
 from bayesid.effects import REST_SPEED
-from bayesid.signals.runs import runs
+from bayesid.signals.arrays import runs
 
 #: Of the high-pass filter.
 _ORDER = 4

@@ -17,7 +17,7 @@ from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.impulse_events import Event, short_events, unlikely
 from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.spectra import SpectralSegment
-from bayesid.signals.runs import runs
+from bayesid.signals.arrays import runs
 
 #: Bands told apart [Hz].
 BANDS = ((0.0, 0.3), (0.3, 1.0), (1.0, 3.0), (3.0, 10.0))

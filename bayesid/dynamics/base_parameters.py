@@ -83,20 +83,10 @@ def structural_base(
 ) -> BaseParameters:  # fmt: skip
     """Base parameters of a robot and its readings, for the richest possible motion.
 
-    Parameters
-    ----------
-    robot, channels
-        What moves and what is measured.
-    gravity
-        False for motion wrenches, from which gravity has been subtracted.
-    offset
-        Whether constant offsets of a wrench are estimated beside: what looks like one drops out.
-    at_rest
-        Only static poses: nothing but gravity acts.
-    held
-        Where joints stand that do not move (n,) [rad or m]; nan for those that do. Default: all move.
-    seed
-        Of the random states that the rank is taken on; the result does not depend on it.
+    Without ``gravity`` of motion wrenches, from which it has been subtracted; with an ``offset`` beside constant offsets of a
+    wrench that are estimated, so that what looks like one drops out; ``at_rest`` of static poses alone. ``held`` is where joints
+    stand that do not move (n,) [rad or m], nan for those that do; default: all move. The result does not depend on the ``seed``
+    of the random states that the rank is taken on.
     """
     rng = np.random.default_rng(seed)
     count = max(60, 12 * len(robot.body_names))
@@ -125,23 +115,11 @@ def regroup(
     nuisance: np.ndarray | None = None,
     tolerance: float = TOLERANCE,
 ) -> BaseParameters:
-    """Split columns into independent ones and combinations of those.
+    """Split columns of regressor rows, or of a triangular factor of them (k, p), into independent ones and combinations of those.
 
-    Parameters
-    ----------
-    rows
-        Regressor rows, or a triangular factor of them (k, p).
-    names, units
-        Of the p parameters.
-    nuisance
-        Columns that are estimated beside (k, o); combinations with them do not count as identifiable.
-    tolerance
-        Relative length of what must remain of a column outside the kept ones.
-
-    Notes
-    -----
-    Columns that are zero to tolerance are dropped before the others are brought to unit length: scaling first
-    would blow rounding up to full size and count it as information.
+    ``nuisance`` are columns that are estimated beside (k, o); combinations with them do not count as identifiable.
+    ``tolerance`` is the relative length of what must remain of a column outside the kept ones. Columns that are zero to it are
+    dropped before the others are brought to unit length: scaling first would blow rounding up and count it as information.
     """
     rows = np.asarray(rows, float)
     p = rows.shape[1]
@@ -223,21 +201,8 @@ def nearest_links(robot: Robot, base: BaseParameters, values: np.ndarray, determ
 
     Minimises ``(phi - phi0)' M (phi - phi0)`` subject to ``K phi = b`` with M the constant pull-back metric of
     the nominal bodies [Lee2020]_, so that "near" means a small relative change of every link's mass
-    distribution: ``phi = phi0 + M^-1 K' (K M^-1 K')^-1 (b - K phi0)``.
-
-    Parameters
-    ----------
-    robot
-        Its nominal parameters.
-    base, values
-        K and b (r,).
-    determined
-        Which base parameters to meet (r,); the others may stay nominal. Default all.
-
-    Returns
-    -------
-    parameters
-        (10 bodies,).
+    distribution: ``phi = phi0 + M^-1 K' (K M^-1 K')^-1 (b - K phi0)``, (10 bodies,). ``values`` are b (r,); ``determined``
+    says which base parameters to meet (r,), default all: the others may stay nominal.
     """
     keep = np.ones(base.rank, bool) if determined is None else determined
     matrix = base.matrix[keep]

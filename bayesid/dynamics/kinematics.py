@@ -32,7 +32,7 @@ from bayesid.dynamics.newton_euler import project as project_block
 from bayesid.dynamics.regressors import add_up_readings, chain
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
-from bayesid.signals.kernel_input import kernel_input
+from bayesid.signals.arrays import kernel_input
 
 R, P, W, DW, A, V, WIDTH = 0, 9, 12, 15, 18, 21, 24
 

@@ -31,16 +31,7 @@ def regressor_gradient(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Derivatives of ``sum(weights * Y)`` with respect to positions, velocities and accelerations, (N, n) each.
 
-    Parameters
-    ----------
-    kernel
-        The regressor's.
-    positions, velocities, accelerations
-        Joint trajectory, (N, n) each [rad or m and per second (squared)].
-    weights
-        (N, c, columns), one number for each of the regressor Y.
-    gravity
-        Whether the weight is part of the reading.
+    ``weights`` (N, c, columns) has one number for each of the regressor Y; ``gravity`` says whether it has the weight in it.
     """
     q, v, a, u = (np.ascontiguousarray(x, dtype=float) for x in (positions, velocities, accelerations, weights))
     out = np.zeros((3, *q.shape))

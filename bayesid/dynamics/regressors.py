@@ -36,7 +36,7 @@ from bayesid.dynamics.newton_euler import (
     weight_columns,
 )
 from bayesid.robot.robot import Robot
-from bayesid.signals.kernel_input import kernel_input
+from bayesid.signals.arrays import kernel_input
 
 
 @dataclass(frozen=True)

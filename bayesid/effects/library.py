@@ -217,7 +217,7 @@ class EffectLibrary:
             if len(found) > 1:
                 places = ", ".join([e.spec for e in found][:3])
                 raise InputError(f"{argument('tell', spec)}: could be at {len(found)} places; name one, as in {places}")
-            effect = found[0]
+            effect = next(iter(found))
             if effect.spec in known:
                 raise InputError(
                     f"{argument('tell', spec)}: is in the model already; take it out of [model] effects to tell it from others"

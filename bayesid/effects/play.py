@@ -32,7 +32,8 @@ import numpy as np
 from bayesid.effects.families import PlayEffect
 from bayesid.effects.flexible import Motion
 from bayesid.effects.segment import REST_SPEED
-from bayesid.signals.splines import Splines
+from bayesid.signals.arrays import runs
+from bayesid.signals.smoothing import Splines
 
 #: Where the root mean square over so many seconds is so many times its median, a crossing may be at a wrong time.
 _SMOOTHED, _STANDS_OUT = 0.25, 2.0
@@ -55,9 +56,7 @@ def local_energy(left: np.ndarray, step: float) -> np.ndarray:
 
 def intervals_that_stand_out(energy: np.ndarray) -> list[tuple[int, int]]:
     """First sample of each, and the one after the last, by the mean square about each sample (M,)."""
-    high = energy > _STANDS_OUT**2 * np.median(energy)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], high, [False]])))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return runs(energy > _STANDS_OUT**2 * np.median(energy))
 
 
 def crossed_anew(

@@ -14,7 +14,7 @@ from bayesid.errors import InputError
 from bayesid.recordings.complaints import Finding, columns_of, listed
 from bayesid.recordings.table import GAP, Table, holes_left
 from bayesid.robot.robot import Robot
-from bayesid.signals.runs import runs
+from bayesid.signals.arrays import runs
 
 _JUDGED = 200_000  # rows of a long recording that are looked at
 _FEWEST = 20  # changes

@@ -26,17 +26,7 @@ def inertia_matrix(parameters: np.ndarray) -> np.ndarray:
 
 
 def from_mass_com_inertia(mass: float, com: np.ndarray, inertia_at_com: np.ndarray) -> np.ndarray:
-    """Ten parameters of a body from its mass [kg], centre of mass [m] and inertia about it [kg m^2].
-
-    Parameters
-    ----------
-    mass
-        Mass [kg].
-    com
-        Centre of mass in the frame, (3,) [m].
-    inertia_at_com
-        Inertia about the centre of mass in the frame's axes, (3, 3) [kg m^2].
-    """
+    """Ten parameters of a body from its mass [kg], centre of mass (3,) [m] and inertia about it, in the frame's axes [kg m^2]."""
     com = np.asarray(com, float)
     # Parallel axes: I_o = I_c + m (c'c 1 - c c').
     inertia = np.asarray(inertia_at_com, float) + mass * (com @ com * np.eye(3) - np.outer(com, com))
@@ -118,19 +108,11 @@ def solid(parameters: np.ndarray) -> np.ndarray:
 
 
 def pullback_metric(parameters: np.ndarray) -> np.ndarray:
-    """Constant pull-back metric of one body, (10, 10): relative change of its mass distribution [Lee2020]_.
+    """Constant pull-back metric of one body (10,), (10, 10): relative change of its mass distribution [Lee2020]_.
 
     ``M_kl = 1/2 tr(P^-1 B_k P^-1 B_l)``: ``d' M d`` does not depend on units or frames. On the boundary of
     the physical bodies (a point, a rod, a placeholder without extent) the metric is singular, so it is that of the
     body's `solid` neighbour.
-
-    Parameters
-    ----------
-    parameters
-        Nominal ten parameters (10,); a body without mass has no metric of its own and gets that of a
-        1 g sphere of 1 cm.
     """
-    pseudo = solid(parameters)
-    inverse = np.linalg.inv(pseudo)
-    product = inverse @ BASIS  # (10, 4, 4)
+    product = np.linalg.inv(solid(parameters)) @ BASIS  # (10, 4, 4)
     return 0.5 * np.einsum("kij,lji->kl", product, product)

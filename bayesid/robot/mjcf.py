@@ -80,27 +80,10 @@ def read_mjcf(path: Path) -> MjcfRobot:
 def compare(
     model: Any, urdf: str, joints: Sequence[str], armature: np.ndarray, gravity: Sequence[float], source: str, remedy: str
 ) -> None:
-    """Refuse a robot whose mass matrix or bias forces are not the same for MuJoCo and for Pinocchio.
+    """Refuse a robot whose mass matrix or bias forces are not the same for MuJoCo's model and Pinocchio's reading of the URDF.
 
-    Parameters
-    ----------
-    model
-        MuJoCo's.
-    urdf
-        The robot as Pinocchio reads it.
-    joints
-        All that move, by name (n,); MuJoCo's are those of these names, or in this order where it has none.
-    armature
-        Of each joint (n,): part of MuJoCo's mass matrix, and no part of a URDF.
-    gravity
-        In the base frame (3,) [m/s^2].
-    source, remedy
-        For the message.
-
-    Raises
-    ------
-    InputError
-        They differ.
+    ``joints`` are all that move, by name (n,); MuJoCo's are those of these names, or in this order where it has none. Their
+    ``armature`` (n,) is part of MuJoCo's mass matrix, and no part of a URDF; ``gravity`` is in the base frame (3,) [m/s^2].
     """
     mujoco, n = load_mujoco(), len(joints)
     other = pin.buildModelFromXML(urdf)

@@ -47,14 +47,8 @@ def urdf_text(robot: Robot, parameters: np.ndarray, dynamics: JointDynamics | No
     theirs (they are in the body's), and a split sensor link's far part goes to the sensor joint's child. Elements that
     a joint or an ``<inertial>`` has twice stay as they are read: the first one (MuJoCo refuses others).
 
-    Parameters
-    ----------
-    robot
-        Loaded from what is to be changed.
-    parameters
-        Ten a body (b, 10) or (10 b,).
-    dynamics
-        Friction of the joints; that of joints it does not name stays as it is. What a URDF has no place for stands in comments.
+    Parameters are ten a body (b, 10) or (10 b,). Friction of joints that ``dynamics`` does not name stays as it is; what a URDF
+    has no place for stands in comments.
     """
     dynamics = dynamics or JointDynamics({})
     root = robot.description.root

@@ -148,18 +148,9 @@ class UrdfFile:
 def read_urdf(given: str | Path, folder: Path | None = None) -> UrdfFile:
     """Read a robot's file and check all that can be checked without a robot in mind.
 
-    Parameters
-    ----------
-    given
-        A URDF, a xacro file (``FILE name:=value ...`` with arguments), an MJCF file, or ``robot_descriptions:NAME``; the file's
-        name alone goes into messages.
-    folder
-        What its name starts from; default: where the program runs.
-
-    Raises
-    ------
-    InputError
-        It is no XML, or no robot: which link or joint, which value, what to do. A package is missing that the format needs.
+    It is ``given`` as for `bayesid.robot.sources.locate`, in a folder; default: where the program runs. An `InputError` where it
+    is no XML, or no robot (which link or joint, which value, what to do; the file's name alone goes into it), or where a package
+    is missing that the format needs.
     """
     source = locate(given, folder)
     path, wrong = source.path, partial(InputError, file=source.path.name)

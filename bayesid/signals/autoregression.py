@@ -13,24 +13,10 @@ _jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contra
 def fit(series: Sequence[np.ndarray], order: int, taken: Sequence[np.ndarray] = ()) -> tuple[np.ndarray, np.ndarray]:
     """Whitening polynomials of orders 0 ... order and their innovation variances, channel by channel.
 
-    Burg's recursion over all recordings. Where ``taken`` is given, its mean autocovariance is added to that of Burg's highest
-    order, and the polynomials follow by Levinson's recursion, which for Burg's own autocovariance gives Burg's own back.
-
-    Parameters
-    ----------
-    series
-        One array a recording (k, channels).
-    order
-        Highest order.
-    taken
-        Further series, one array a recording (k, channels, p), whose products are summed over p.
-
-    Returns
-    -------
-    polynomials
-        ``1, -a_1, ..., -a_p, 0 ...`` of each channel and order p (channels, order + 1, order + 1).
-    variances
-        (channels, order + 1).
+    Burg's recursion over all recordings, one array each (k, channels). Where further series (k, channels, p) are ``taken``, whose
+    products are summed over p, their mean autocovariance is added to that of Burg's highest order, and the polynomials follow by
+    Levinson's recursion, which for Burg's own autocovariance gives Burg's own back. Polynomials are
+    ``1, -a_1, ..., -a_p, 0 ...`` of each channel and order p (channels, order + 1, order + 1), variances (channels, order + 1).
     """
     ends = np.cumsum([0, *map(len, series)])
     values = np.ascontiguousarray(np.concatenate(series).T, float)

@@ -69,23 +69,8 @@ def low_pass(
     which is ``l (P - (P)_l - e^{-lt} P(0)) - (Q)_l`` of [Liu1998]_ equation 14, start included: the same zero
     state on both sides of the equation, hence nothing to discard.
 
-    Parameters
-    ----------
-    filters
-        The two bandwidths.
-    times
-        (N,) [s], may be uneven.
-    rest, rate_of
-        Q and P, (N, columns).
-    state
-        As returned for the piece before; None at the start of a recording.
-
-    Returns
-    -------
-    filtered
-        (N, columns).
-    state
-        For the next piece.
+    Times (N,) [s] may be uneven; ``rest`` and ``rate_of`` are Q and P, (N, columns). ``state`` is as returned for the piece
+    before, None at the start of a recording. Returned are the filtered columns (N, columns) and the state for the next piece.
     """
     rest = np.ascontiguousarray(rest, float)
     moving = rate_of is not None

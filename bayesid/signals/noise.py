@@ -150,31 +150,15 @@ def estimate_noise(
     highest_order: int = 24,
     spread: Sequence[np.ndarray] | None = None,
 ) -> NoiseModel:
-    """Estimate the noise from the residuals of recordings.
+    """Estimate the noise from the residuals of recordings, one array each (k, channels).
 
-    Burg's method per channel over all recordings, one order for all channels by Schwarz's criterion. What the
-    fitted parameters took from the residuals is given back.
-
-    Parameters
-    ----------
-    residuals
-        One array a recording (k, channels).
-    parameters
-        How many parameters were fitted to these rows; not used with ``spread``.
-    known_poles
-        Poles of the filter that the rows passed, from the zero state.
-    highest_order
-        Highest order tried.
-    spread
-        One array a recording (k, channels, p): ``X L`` where ``L L'`` is the covariance of the parameters in an
-        efficient fit.
-
-    Notes
-    -----
-    Residuals r of an efficient fit have covariance ``Sigma - X V X'``: noise is missing just where the robot
-    moves, and a colour learned from them would call those frequencies quiet. ``r r' + X V X'`` has the right
-    mean; repeated with the V of the last colour this is expectation and maximisation of the restricted
-    likelihood [Dempster1977]_. Without ``spread`` all variances are enlarged alike.
+    Burg's method per channel over all recordings, one order for all channels, up to a highest, by Schwarz's criterion.
+    ``known_poles`` are those of the filter that the rows passed, from the zero state. What the fitted parameters took from the
+    residuals is given back: residuals r of an efficient fit have covariance ``Sigma - X V X'``, so that noise is missing just
+    where the robot moves, and a colour learned from them would call those frequencies quiet. ``r r' + X V X'`` has the right
+    mean; repeated with the V of the last colour this is expectation and maximisation of the restricted likelihood
+    [Dempster1977]_. For it ``spread`` has ``X L`` of each recording (k, channels, p), with V = L L'. Without it all variances are
+    enlarged alike, by how many ``parameters`` were fitted to these rows.
     """
     known = np.array([1.0]) if known_poles is None else np.real(np.poly(known_poles))
     rows = [moving_average(known, r) for r in residuals]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from bayesid.signals.kernel_input import kernel_input
+from bayesid.signals.arrays import kernel_input
 
 #: Roll-off of the projection's kernel and half its length in rows.
 ROLL_OFF = 0.5
@@ -26,17 +26,9 @@ def project(times: np.ndarray, values: np.ndarray, start: float, step: float, fi
     recording it is cut off; divide every row by the root of its energy. As both sides of an equation are
     treated alike, none of this biases an estimate.
 
-    Parameters
-    ----------
-    times, values
-        Samples (N,) [s] and (N, ...).
-    start, step
-        Centre of row 0 and distance of rows [s].
-    first
-        Index of the row that ``out[0]`` holds.
-    out, energy
-        Rows (k, ...) and sums of squared weights (k,), added to in place; contributions to rows outside are
-        dropped.
+    Samples are at times (N,) [s] with values (N, ...), the centre of row 0 is at ``start`` and rows are a ``step`` apart [s].
+    Rows ``out`` (k, ...), of which ``first`` is the index of the first, and sums of squared weights ``energy`` (k,) are added to
+    in place; contributions to rows outside are dropped.
     """
     flat = kernel_input(values).reshape(len(values), -1)
     _project(kernel_input(times), flat, start, step, first, _TABLE, out.reshape(len(out), -1), energy)

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.optimize import fminbound
 
-from bayesid.signals.runs import runs
+from bayesid.signals.arrays import runs
 
 #: A repeat or a rest lasts this long [s] and a period this long [s], to tell low frequencies.
 _SHORTEST, _SHORTEST_PERIOD = 3.0, 1.5

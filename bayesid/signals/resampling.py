@@ -17,28 +17,12 @@ def uneven(times: np.ndarray) -> bool:
 
 
 def resample_evenly(times: np.ndarray, values: np.ndarray, bandwidth: float) -> tuple[np.ndarray, np.ndarray]:
-    """Samples at even times, by the nearest sample and the smooth course of all.
+    """Samples (N, c) of increasing true times (N,) [s] at even ones, as far apart as the median step, from the first to the last.
 
-    Parameters
-    ----------
-    times
-        True times (N,) [s], strictly increasing.
-    values
-        (N, c).
-    bandwidth
-        Of the course that carries a sample from its time to the even one [Hz].
-
-    Returns
-    -------
-    times, values
-        As far apart as the median step; from the first to the last sample.
-
-    Notes
-    -----
-    With the least-squares spline s of `smooth`, ``y(t) = y_k + s(t) - s(t_k)`` at the sample k that is nearest. What the
-    spline does not follow, noise above all, is moved as it is: interpolation would average neighbours and so make it less. Where
-    a sample was dropped, one of the others' deviations from the spline stands in, drawn with a fixed seed: a neighbour's would
-    be there twice, and white noise no longer white.
+    With the least-squares spline s of `smooth`, of a bandwidth [Hz], ``y(t) = y_k + s(t) - s(t_k)`` at the sample k that is
+    nearest. What the spline does not follow, noise above all, is moved as it is: interpolation would average neighbours and so
+    make it less. Where a sample was dropped, one of the others' deviations from the spline stands in, drawn with a fixed seed: a
+    neighbour's would be there twice, and white noise no longer white.
     """
     step = float(np.median(np.diff(times)))
     even = np.linspace(times[0], times[-1], max(round((times[-1] - times[0]) / step), 1) + 1)

@@ -14,10 +14,10 @@ from math import comb, factorial
 
 import numba
 import numpy as np
-from scipy.linalg import get_lapack_funcs
+from scipy.linalg import get_lapack_funcs, solveh_banded
 
 from bayesid.errors import InputError
-from bayesid.signals.kernel_input import kernel_input
+from bayesid.signals.arrays import kernel_input
 
 (_solve_banded,) = get_lapack_funcs(("pbsv",), dtype=np.float64)
 #: A gap-free segment: times (N,) [s] and positions (N, n) [rad or m].
@@ -75,23 +75,10 @@ class Smoother:
 def smooth(
     times: np.ndarray, positions: np.ndarray, bandwidth: float, at: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, velocities and accelerations of the least-squares spline through noisy positions.
+    """Positions, velocities and accelerations of the least-squares spline through noisy positions (N, n) [rad or m].
 
-    Parameters
-    ----------
-    times
-        Strictly increasing (N,) [s]; need not be evenly spaced.
-    positions
-        (N, n) [rad or m].
-    bandwidth
-        Highest frequency kept [Hz].
-    at
-        Times to evaluate at; default ``times``.
-
-    Raises
-    ------
-    InputError
-        Too few samples for this bandwidth.
+    Times (N,) [s] strictly increase and need not be even; it is evaluated ``at`` these or others. The ``bandwidth`` is the
+    highest frequency kept [Hz]; an `InputError` where there are too few samples for it.
     """
     coefficients, first = _fitted(times, positions, bandwidth)
     return _evaluate(kernel_input(times if at is None else at), coefficients, first, 0.5 / bandwidth, POLYNOMIALS)
@@ -109,7 +96,8 @@ def _fitted(times: np.ndarray, positions: np.ndarray, bandwidth: float) -> tuple
     )
     if count > len(times) + DEGREE:
         raise too_few
-    band, right = _normal_equations(kernel_input(times), kernel_input(positions), first, spacing, count, POLYNOMIALS)
+    living, values = _living(kernel_input(times), first, spacing, count, POLYNOMIALS)
+    band, right = _normal_equations(living, values, kernel_input(positions), count)
     # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
     band[-1] += 1e-14 * band[-1].max()
     # LAPACK itself: hundreds of short pieces are fitted, and the checks of `solveh_banded` take longer than they do.
@@ -125,19 +113,11 @@ def choose_smoother(
     noise: float | None = None,
     each: Callable[[Callable, Iterable], Iterable] = map,
 ) -> Smoother:
-    """Choose the bandwidth from the data by generalised cross-validation [Craven1979]_.
+    """Choose the bandwidth from gap-free segments, of which there may be samples, by generalised cross-validation [Craven1979]_.
 
-    Parameters
-    ----------
-    pieces
-        Gap-free segments (times (N,), positions (N, n)); long recordings may be sampled.
-    resolution, noise
-        Encoder count and random noise, if known [rad or m]: the error is then not taken smaller.
-    each
-        Calls a function with every item of a sequence, in order: ``map``, or one that uses more cores.
+    The error is not taken smaller than encoder count (``resolution``) and random noise [rad or m], if known. ``each`` calls a
+    function with every item of a sequence, in order: ``map``, or one that uses more cores.
 
-    Notes
-    -----
     ``GCV(h) = prod_j RSS_j(h) / (N - M(h))^2`` over the joints that move. Cross-validation prefers a spline
     that is a little too stiff to one that is too loose only in position; accelerations weigh the bias more, so
     the smallest bandwidth within 2 % of the best score is widened by a quarter.
@@ -179,7 +159,8 @@ def _candidates(times: Sequence[np.ndarray]) -> list[float]:
 def _left(piece: Piece, bandwidth: float) -> np.ndarray:
     """Sums of squares of positions less the spline's (n,)."""
     coefficients, first = _fitted(*piece, bandwidth)
-    return _residual_power(*piece, coefficients, first, 0.5 / bandwidth, POLYNOMIALS)
+    living, values = _living(piece[0], first, 0.5 / bandwidth, len(coefficients), POLYNOMIALS)
+    return _residual_power(living, values, piece[1], coefficients)
 
 
 def _chosen(
@@ -212,46 +193,101 @@ def _chosen(
     return Smoother(bandwidth, error, reason, bandwidth, at_end, resolution, noise)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _living(position, count, polynomials, values):
-    """First of the six functions that live at a position, in knots from the first, and their values."""
-    k = min(max(int(position), 0), count - 6)
-    for f in range(6):
-        total = polynomials[f, 5]
-        for power in range(4, -1, -1):
-            total = total * (position - k) + polynomials[f, power]
-        values[f] = total
-    return k
+@dataclass(frozen=True, eq=False)
+class Splines:
+    """The functions that `smooth` fits, six of which live at each time: for fits in which more than positions count."""
+
+    first: np.ndarray  # of the six at each time (M,)
+    values: np.ndarray  # of the six, and of their first two derivatives (3, M, 6)
+    count: int  # number k of functions
+
+    @classmethod
+    def over(cls, times: np.ndarray, bandwidth: float, at: np.ndarray | None = None) -> Splines:
+        """Over times (N,) [s] with nothing above a bandwidth [Hz], at these or at others within them (M,)."""
+        spacing = 0.5 / bandwidth
+        start = np.floor(times[0] / spacing)
+        count = int(np.floor(times[-1] / spacing) - start) + _ORDER
+        where = (times if at is None else np.clip(at, times[0], times[-1])) / spacing - start
+        first = np.minimum(where.astype(int), count - _ORDER)
+        powers = (where - first)[:, None] ** np.arange(_ORDER)
+        values, polynomial = np.empty((3, len(where), _ORDER)), POLYNOMIALS
+        for order in range(3):
+            values[order] = powers[:, : _ORDER - order] @ polynomial.T / spacing**order
+            polynomial = polynomial[:, 1:] * np.arange(1, _ORDER - order)
+        return cls(first, values, count)
+
+    def part(self, which: slice) -> Splines:
+        """The functions that live at some neighbouring times."""
+        first = self.first[which]
+        return Splines(first - first[0], self.values[:, which], int(first[-1] - first[0]) + _ORDER)
+
+    def motion(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position, velocity and acceleration (M, ...) of coefficients (k, ...)."""
+        own = coefficients[self.first[:, None] + np.arange(_ORDER)]
+        q, v, a = np.einsum("dmf,mf...->dm...", self.values, own)
+        return q, v, a
+
+    def nearest(self, values: np.ndarray) -> np.ndarray:
+        """Coefficients (k, ...) of the least-squares spline through values (M, ...)."""
+        return self.solved(self.values[0], values)
+
+    def remainder(self, values: np.ndarray) -> np.ndarray:
+        """What the least-squares spline leaves of values (M, ...)."""
+        own = self.nearest(values)[self.first[:, None] + np.arange(_ORDER)]
+        return values - np.einsum("mf,mf...->m...", self.values[0], own)
+
+    def solved(self, rows: np.ndarray, values: np.ndarray, damping: float = 0.0) -> np.ndarray:
+        """Least squares ``rows c = values`` (k, ...), where the rows (M, 6) multiply the six functions at each time.
+
+        The normal matrix's diagonal is enlarged by the damping, a share of it.
+        """
+        columns = kernel_input(values.reshape(len(values), -1))
+        band, right = _normal_equations(self.first, kernel_input(rows), columns, self.count)
+        # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
+        band[-1] += damping * band[-1] + 1e-14 * band[-1].max()
+        return solveh_banded(band, right, check_finite=False).reshape(self.count, *values.shape[1:])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _normal_equations(times, positions, first, spacing, count, polynomials):
-    """Upper banded Gram matrix of the basis (6, count) and right-hand sides (count, n)."""
-    n = positions.shape[1]
-    band, right = np.zeros((6, count)), np.zeros((count, n))
-    values = np.empty(6)
+def _living(times, first, spacing, count, polynomials):
+    """The first of the six functions that live at each time (N,), and the values of the six (N, 6)."""
+    living, values = np.empty(len(times), np.int64), np.empty((len(times), 6))
     for sample in range(len(times)):
-        k = _living(times[sample] / spacing - first, count, polynomials, values)
+        position = times[sample] / spacing - first
+        k = min(max(int(position), 0), count - 6)
+        living[sample] = k
+        for f in range(6):
+            total = polynomials[f, 5]
+            for power in range(4, -1, -1):
+                total = total * (position - k) + polynomials[f, power]
+            values[sample, f] = total
+    return living, values
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _normal_equations(living, rows, values, count):
+    """Upper banded Gram matrix (6, count) of rows (N, 6), each of functions from its first one on, and right sides (count, n)."""
+    band, right = np.zeros((6, count)), np.zeros((count, values.shape[1]))
+    for sample in range(len(living)):
+        k = living[sample]
         for i in range(6):
             for j in range(i, 6):
-                band[5 + i - j, k + j] += values[i] * values[j]
-            for joint in range(n):
-                right[k + i, joint] += values[i] * positions[sample, joint]
+                band[5 + i - j, k + j] += rows[sample, i] * rows[sample, j]
+            for column in range(values.shape[1]):
+                right[k + i, column] += rows[sample, i] * values[sample, column]
     return band, right
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _residual_power(times, positions, coefficients, first, spacing, polynomials):
+def _residual_power(living, rows, positions, coefficients):
     """Sums of squares of positions less the spline's (n,)."""
-    n, count = coefficients.shape[1], coefficients.shape[0]
-    power, left, values = np.zeros(n), np.zeros(n), np.empty(6)
-    for sample in range(len(times)):
-        k = _living(times[sample] / spacing - first, count, polynomials, values)
+    power, left = np.zeros(positions.shape[1]), np.zeros(positions.shape[1])
+    for sample in range(len(living)):
         left[:] = positions[sample]
         for f in range(6):
-            for joint in range(n):
-                left[joint] -= values[f] * coefficients[k + f, joint]
-        for joint in range(n):
+            for joint in range(len(left)):
+                left[joint] -= rows[sample, f] * coefficients[living[sample] + f, joint]
+        for joint in range(len(left)):
             power[joint] += left[joint] * left[joint]
     return power
 

@@ -119,21 +119,7 @@ def perturbed_links(robot: Robot, rel_std: float, seed: int = 0) -> np.ndarray:
 
     A pseudo-inertia ``P = L L'`` becomes ``L exp(s S) L'`` with a random symmetric S, which stays positive
     definite whatever s is, does not depend on frames or units, and changes masses and second moments by the
-    relative standard deviation s [Lee2020]_.
-
-    Parameters
-    ----------
-    robot
-        Its nominal bodies.
-    rel_std
-        The relative standard deviation s.
-    seed
-        Of S.
-
-    Raises
-    ------
-    InputError
-        A nominal body cannot exist.
+    relative standard deviation s [Lee2020]_. An `InputError` where a nominal body cannot exist.
     """
     possible = inertia.is_physically_consistent(robot.nominal)
     if not possible.all():

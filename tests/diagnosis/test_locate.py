@@ -16,7 +16,7 @@ from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.recordings.experiment import load_experiment
 from bayesid.results import diagnosis as text
-from bayesid.signals.runs import runs
+from bayesid.signals.arrays import runs
 
 JOINTS, CHANNELS = 3, 6
 LEVEL = DEFAULT.level

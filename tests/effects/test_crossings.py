@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesid.effects.play import crossed_anew, intervals_that_stand_out, local_energy
-from bayesid.signals.splines import Splines
+from bayesid.signals.smoothing import Splines
 
 STEP, GAP, COUNT = 0.008, 4e-3, 1e-4
 T = np.arange(1000) * STEP

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesid.signals.smoothing import smooth
-from bayesid.signals.splines import Splines
+from bayesid.signals.smoothing import Splines, smooth
 
 
 def test_nearest_splines_are_those_that_smooth():
