@@ -1,7 +1,8 @@
-"""Numbers as text with the digits that their uncertainty allows."""
+"""Numbers and terms as text, the same in a terminal, a notebook and a report: with the digits that their uncertainty allows."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from statistics import NormalDist
 
 import numpy as np
@@ -76,3 +77,31 @@ def _alike(one: float, other: float, *, half: float) -> tuple[str, str]:
     places = max(places, 0)
     first, second = (f"{round(v / scale, places) + 0.0:.{places}f}{power}".replace("-", "−") for v in (one, other))
     return first, second
+
+
+def percent(share: float, digits: int = 3) -> str:
+    """A share as per cent."""
+    return f"{number(100 * share, digits)} %" if np.isfinite(share) else DASH
+
+
+def chance(p: float) -> str:
+    """A probability as per cent."""
+    return "< 0.01 %" if p < 1e-4 else percent(p, 2)
+
+
+def counted(count: int, one: str, several: str = "") -> str:
+    """``1 motion``, ``2 motions``; what several are called where it is not one with an s."""
+    return f"{count} {one if count == 1 else several or f'{one}s'}"
+
+
+def unit_text(unit: str) -> str:
+    """A unit behind a number: nothing where that has none."""
+    return "" if unit == "1" else unit
+
+
+_CHANNELS = {"wrench": "sensor's wrench", "torque": "joint torques", "both": "sensor's wrench and joint torques"}
+
+
+def channel_text(channel: str, motions: Iterable[str] = ()) -> str:
+    """The readings that were fitted, in words, and of which motions."""
+    return " of ".join(filter(None, (_CHANNELS[channel], ", ".join(motions))))

@@ -32,8 +32,8 @@ from bayesid.results.accuracy import (
     worst_places,
 )
 from bayesid.results.files import report_of
-from bayesid.results.text import DASH, HALF, channel_text, number, percent
 from bayesid.robot import inertia
+from bayesid.rounding import DASH, HALF, channel_text, number, percent
 from bayesid.section import Part, ShownSection, ShownTable
 
 #: Places of each kind of effect that the map shows.
@@ -82,8 +82,8 @@ def accuracy_report(result: Accuracy) -> str:
         ShownSection("Every base parameter", parameters, "Parameters"),
         how(*_how(result), after="SI units, force before moment.", title="How this was done"),
     ]
-    kicker = f"Accuracy of {bench.rank} base parameters by {bench.method.name}, from the "
-    kicker += f"{channel_text(bench.problem.channel)} of {', '.join(bench.problem.fitted)}"
+    readings = channel_text(bench.problem.channel, bench.problem.fitted)
+    kicker = f"Accuracy of {bench.rank} base parameters by {bench.method.name}, from the {readings}"
     fine = "No warnings: formula and simulation agree, and the model is complete as far as its residuals tell."
     name = bench.experiment.name
     return page(name, kicker, [warnings(result.warnings, fine), lead(_lead(result)), cards(_cards(result))], sections,

@@ -15,10 +15,10 @@ from bayesid.design.accuracy.certificate import CoverageCertificate
 from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.estimator import LEVEL
-from bayesid.report.figures import GREY, NOISE, PREDICTED, Drawing, add_legend, make_grid, plain_log, styled
+from bayesid.report.figures import GREY, NOISE, PREDICTED, Drawing, add_legend, list_rows, make_grid, plain_log, styled
 from bayesid.report.page import figure, fold, svg
 from bayesid.results.accuracy import coverage_text
-from bayesid.results.text import number, percent
+from bayesid.rounding import number, percent
 from bayesid.section import Html, Part, ShownSection, ShownTable, as_html
 
 _BLUE, _RED = "#1d4ed8", "#c2410c"
@@ -45,7 +45,7 @@ def sweeps_figure(sweeps: Sweeps, ax: Any = None) -> Figure:
             _curve(panel, s, sweeps)
         if rows:
             _dots(axes.ravel()[-1], rows, sweeps)
-        add_legend(axes, *axes.flat[0].get_legend_handles_labels())
+        add_legend(axes)
         return figure
     lines = -(-len(curves) // _PANELS)
     height, dots = 1.75, 0.27 * len(rows) + 0.1
@@ -60,7 +60,7 @@ def sweeps_figure(sweeps: Sweeps, ax: Any = None) -> Figure:
     if rows:
         names = 4.35
         _dots(figure.add_axes((names / 10.4, bottom / total, (10.2 - names) / 10.4, dots / total)), rows, sweeps)
-    add_legend(np.array(figure.axes, object), *figure.axes[0].get_legend_handles_labels())
+    add_legend(np.array(figure.axes, object))
     return figure
 
 
@@ -143,10 +143,7 @@ def _dots(ax: Axes, rows: list[tuple[Sweep, int, Level]], sweeps: Sweeps) -> Non
     values = np.array([r for r in reached if np.isfinite(r) and r > 0])
     ax.set_xlim(min(values.min() / 1.25, 0.7), max(values.max() * 1.25, 1.5))
     plain_log(ax.xaxis)
-    ax.set_yticks(y, labels)
-    ax.set_ylim(len(y) - 0.4, -0.6)
-    ax.tick_params(axis="y", length=0)
-    ax.grid(axis="y", visible=False)
+    list_rows(ax, labels)
     ax.set_title("Error over that of your own setting")
 
 

@@ -15,11 +15,23 @@ from bayesid.design.bounds.region import Region
 from bayesid.design.bounds.remainder import Remainder
 from bayesid.design.bounds.workspace import Workspace
 from bayesid.drawing import Figures, figures_of
-from bayesid.report.figures import CLASSES, DENSE, GREY, PREDICTED, add_legend, make_grid, picked, styled, tidy_time
+from bayesid.report.figures import (
+    CLASSES,
+    DENSE,
+    GREY,
+    PREDICTED,
+    add_legend,
+    label_lowest,
+    list_rows,
+    make_grid,
+    picked,
+    styled,
+    tidy_time,
+)
 from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, run_times, svg, versions, warnings
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands, band_table, bands_of, joints
 from bayesid.results.files import report_of
-from bayesid.results.text import channel_text, ends, number, percent, with_half
+from bayesid.rounding import channel_text, ends, number, percent, with_half
 from bayesid.section import Part, ShownSection, ShownTable
 
 _BLUE = CLASSES["alone"]
@@ -55,13 +67,8 @@ def band_figure(band: Band, channels: Sequence[str] | str | None = None, ax: Any
     for k in range(count, rows * columns):
         for ax in (axes[2 * (k // columns), k % columns], axes[2 * (k // columns) + 1, k % columns]):
             ax.set_visible(False)
-    for column in axes.T:
-        visible = [ax for ax in column if ax.get_visible()]
-        visible[-1].set_xlabel("time [s]")
-        visible[-1].tick_params(labelbottom=True)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    more = axes[1, 0].get_legend_handles_labels()
-    add_legend(axes, [*handles, *more[0]], [*labels, *more[1]])
+    label_lowest(axes, "time [s]")
+    add_legend(axes, *axes[:2, 0])
     return figure
 
 
@@ -79,12 +86,9 @@ def parameter_figure(names: Sequence[str], region: Region, torque_per_unit: np.n
         if at.any():
             ax.barh(y[at], unsure[order][at], height=0.62, color=colour, alpha=0.55, lw=0, label=label)
     ax.plot(moves[order], y, "o", ms=4, mfc="white", mec=GREY, label="moved by the value itself")
-    ax.set_yticks(y, [names[k] for k in order])
-    ax.set(xlim=(0.0, None), ylim=(len(y) - 0.45, -0.55))
-    ax.set_xlabel("root mean square torque in the fitted motions, at the joint it moves most [N m or N]")
-    ax.grid(axis="y", visible=False)
-    ax.tick_params(axis="y", length=0)
-    add_legend(axes, *ax.get_legend_handles_labels())
+    list_rows(ax, [names[k] for k in order], 0.55)
+    ax.set(xlim=(0.0, None), xlabel="root mean square torque in the fitted motions, at the joint it moves most [N m or N]")
+    add_legend(axes)
     return figure
 
 
@@ -93,12 +97,9 @@ def remainder_figure(left: Remainder, names: Sequence[str], units: Sequence[str]
     """99 % of what is left of each joint's torque, by speed."""
     columns = min(len(names), 4)
     rows = -(-len(names) // columns)
-    figure, axes = make_grid(rows, columns, 1.2, gap=0.55)
+    figure, axes = make_grid(rows, columns, 1.2, gap=0.55, used=len(names))
     figure.subplots_adjust(hspace=0.5)  # the numbers below each panel need room
-    for j, ax in enumerate(axes.ravel()):
-        if j >= len(names):
-            ax.set_visible(False)
-            continue
+    for j, ax in enumerate(axes.ravel()[: len(names)]):
         edges = np.concatenate([[0.0], left.speeds[j]])
         ax.stairs(left.by_speed[j], edges, fill=True, color=_BLUE, alpha=0.3)
         ax.axhline(left.bound[j], color=PREDICTED, lw=1.1)
@@ -168,7 +169,7 @@ def bounds_report(result: ControllerBounds) -> str:
             f"its comments and under `identified_urdf`{drawn}.")),
     ]  # fmt: skip
     name, source = known.problem.experiment.name, f"{known.source} ({known.method})"
-    of = f"{channel_text(known.problem.channel)} of {', '.join(known.problem.fitted)}"
+    of = channel_text(known.problem.channel, known.problem.fitted)
     fine = "No warnings: the data determine what a controller needs, and unseen motions are predicted down to the noise."
     opening = [warnings(result.warnings, fine), lead(_lead(result)), cards(_cards(result))]
     kicker = f"What a controller of {robot.name} may rely on, from the {source} of the {of}"

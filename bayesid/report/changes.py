@@ -26,7 +26,7 @@ from bayesid.results.changes import (
     worded,
 )
 from bayesid.results.files import report_of
-from bayesid.results.text import DASH, channel_text, number, percent
+from bayesid.rounding import DASH, channel_text, number, percent, unit_text
 from bayesid.section import Html, ShownSection, ShownTable
 
 #: Bars in the picture of the evidence.
@@ -85,7 +85,7 @@ def changes_report(result: Changes) -> str:
         lead(f"**{verdict_sentence(c)}**"), cards(_cards(c)),
         warnings(notes(c), "", "Know this before you use it"),
     ]  # fmt: skip
-    kicker = f"What changed since the reference: from the {channel_text(problem.channel)} of {', '.join(problem.fitted)}"
+    kicker = f"What changed since the reference: from the {channel_text(problem.channel, problem.fitted)}"
     return page(f"{problem.experiment.name} since {before.name}", kicker, opening, sections)
 
 
@@ -163,7 +163,7 @@ def _hidden(c: ReferenceComparison) -> ShownTable:
     for name, members in kinds.items():
         parameter, unit = members[0].change.parameters[0]
         sizes = ", ".join(f"{h.change.where} {number(h.value, 2) if np.isfinite(h.value) else 'never'}" for h in members)
-        rows.append([name, parameter.rsplit(".", 1)[-1], "" if unit == "1" else unit, sizes])
+        rows.append([name, parameter.rsplit(".", 1)[-1], unit_text(unit), sizes])
     return ShownTable(["change", "of", "unit", "smallest that would have been named"], rows, "k - u w")
 
 

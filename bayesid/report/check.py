@@ -13,8 +13,8 @@ from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, key, key_width, li
 from bayesid.report.page import below, bullets, cards, figure, fold, lead, note, page, terms, warnings
 from bayesid.results.files import report_of
 from bayesid.results.inspection import Inspection, MotionSummary
-from bayesid.results.text import DASH, counted, number, percent
 from bayesid.robot import inertia
+from bayesid.rounding import DASH, counted, number, percent
 from bayesid.section import Part, ShownSection, ShownTable
 from bayesid.validation.headline import judged, useless
 from bayesid.validation.own_fit import left_text

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import CYCLE
-from bayesid.report.figures import GREY, NOISE, add_legend, given_axes, make_grid, plain_log, styled
+from bayesid.report.figures import GREY, NOISE, add_legend, given_axes, list_rows, make_grid, plain_log, styled
 from bayesid.report.identification import how_motions, mood_of
 from bayesid.report.page import (
     below,
@@ -31,7 +31,7 @@ from bayesid.report.page import (
 from bayesid.results.comparison import Comparison, Entry, in_sigmas, overview_table, values_table
 from bayesid.results.files import report_of
 from bayesid.results.loaded import LoadedComparison
-from bayesid.results.text import DASH, chance, channel_text, number, percent
+from bayesid.rounding import DASH, chance, channel_text, number, percent
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable
 from bayesid.validation.agreement import HausmanTest
 from bayesid.validation.headline import judged
@@ -80,12 +80,9 @@ def values_side_by_side(
                 side = np.sign(d[k])
                 ax.plot(0.985 * side * limit, at[k], ">" if side > 0 else "<", ms=4.5, mew=0, color=colour)
         ax.hlines(y[1:] - 0.5, -limit, limit, color="#e2e8f0", lw=0.7)
-        ax.set_yticks(y, list(names[part]))
-        ax.set(xlim=(-limit, limit), ylim=(len(y) - 0.45, -0.55))
-        ax.set_xlabel(f"value less that of {reference} [standard deviations of {reference}]")
-        ax.grid(axis="y", visible=False)
-        ax.tick_params(axis="y", length=0)
-    add_legend(axes, *axes[0, 0].get_legend_handles_labels())
+        list_rows(ax, names[part], 0.55)
+        ax.set(xlim=(-limit, limit), xlabel=f"value less that of {reference} [standard deviations of {reference}]")
+    add_legend(axes)
     return figure
 
 
@@ -130,7 +127,7 @@ def errors_side_by_side(
             ax.set_xscale("log")
             ax.set_xlim(min(low / 1.15, floor or np.inf), max(high * 1.15, low * 2.0))
             plain_log(ax.xaxis)
-    add_legend(axes, *axes[0, 0].get_legend_handles_labels(), lines=lines)
+    add_legend(axes, lines=lines)
     return figure
 
 
@@ -195,9 +192,7 @@ def comparison_report(result: Comparison) -> str:
         how(*_how(result), after="SI units, force before moment. Intervals are central and hold 95 %.", title="How this was done")
     )
     name = "Comparison of estimators" if problem is None else problem.experiment.name
-    source = (
-        "a regression of one's own" if problem is None else f"the {channel_text(problem.channel)} of {', '.join(problem.fitted)}"
-    )
+    source = "a regression of one's own" if problem is None else f"the {channel_text(problem.channel, problem.fitted)}"
     better = "every estimator predicts better than the nominal model, and " if predicted else ""
     opening = [
         warnings(result.warnings, f"No warnings: {better}no test finds estimators in contradiction."), lead(_lead(result)),

@@ -53,7 +53,7 @@ from bayesid.results.diagnosis import (
 from bayesid.results.files import report_of
 from bayesid.results.fitted_model import placed
 from bayesid.results.telling import pair_table
-from bayesid.results.text import DASH, chance, channel_text, number, percent
+from bayesid.rounding import DASH, chance, channel_text, number, percent, unit_text
 from bayesid.section import Cell, Part, ShownSection, ShownTable
 from bayesid.validation.own_fit import MotionErrors
 from bayesid.validation.prediction import Prediction
@@ -148,11 +148,9 @@ def diagnosis_report(diagnosis: Diagnosis) -> str:
         lead(f"**{verdict_sentence(d)}** {validation_sentence(d)}"), cards(_cards(d)),
         warnings(notes(d), "", "Know this before you use it"),
     ]  # fmt: skip
-    name, fitted = data.experiment.name, ", ".join(dict.fromkeys(s.motion for s in data.segments))
+    name, readings = data.experiment.name, channel_text(data.channel, dict.fromkeys(s.motion for s in data.segments))
     tested = "" if d.gap is None else f", tested on {', '.join(d.gap.motions)}"
-    kicker = (
-        f"Where model and measurement disagree, and what is missing: from the {channel_text(data.channel)} of {fitted}{tested}"
-    )
+    kicker = f"Where model and measurement disagree, and what is missing: from the {readings}{tested}"
     return page(name, kicker, opening, sections, f"{name}: diagnosis")
 
 
@@ -393,7 +391,7 @@ def _visible(d: Diagnosis, views: Views) -> ShownSection:
         )
         every = [
             [v.effect.spec, v.effect.parameters[v.parameter], "never" if v.seen is None else number(v.seen, 2),
-             "never" if v.named is None else number(v.named, 2), _unit(v),
+             "never" if v.named is None else number(v.named, 2), unit_text(v.effect.units[v.parameter]),
              DASH if v.most_collinear is None else v.most_collinear.spec, _near_one(v.share)]
             for v in views.visible
         ]  # fmt: skip
@@ -515,16 +513,11 @@ def _large(value: float) -> str:
     return f"{value:,.0f}".replace(",", " ").replace("-", "−") if abs(value) >= 100 else number(value, 3)
 
 
-def _unit(v: Visible) -> str:
-    unit = v.effect.units[v.parameter]
-    return "" if unit == "1" else unit
-
-
 def _seen(views: Views) -> ShownTable:
     """One line for each kind of effect: the smallest sizes, over all its places."""
     groups: dict[tuple[str, str], list[Visible]] = {}
     for v in views.visible:
-        groups.setdefault((v.effect.name, _unit(v)), []).append(v)
+        groups.setdefault((v.effect.name, unit_text(v.effect.units[v.parameter])), []).append(v)
     rows = []
     for (name, unit), members in groups.items():
         best, worst = (pick(members, key=lambda v: np.inf if v.seen is None else v.seen) for pick in (min, max))

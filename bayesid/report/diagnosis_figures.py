@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayesid.report.charts import WIDTH, chart, text_width, write
-from bayesid.report.figures import GREY, MEASURED, NOISE, PREDICTED, add_legend, make_grid, plain_log, styled
+from bayesid.report.figures import GREY, MEASURED, NOISE, PREDICTED, add_legend, list_rows, make_grid, plain_log, styled
 
 #: Colours: what is left, what is closed, what is neither.
 LEFT, CLOSED, OTHER, _DARK, _GRID = "#c2410c", "#0f766e", "#94a3b8", "#334155", "#e2e8f0"
@@ -155,13 +155,10 @@ def evidence(names: Sequence[str], values: np.ndarray, kinds: Sequence[str], nee
     for k, v in zip(y, values, strict=True):
         text, place = f"{v:,.0f}".replace(",", " "), (max(v, low), k)
         ax.annotate(text, place, (4, 0), textcoords="offset points", va="center", fontsize=8, color=GREY)
-    ax.set_yticks(y, list(names))
-    ax.set_ylim(count - 0.4, -0.6)
-    ax.tick_params(axis="y", length=0)
-    ax.grid(axis="y", visible=False)
+    list_rows(ax, names)
     ax.set_xlabel("log evidence gained by this effect alone, beside the model as it was")
     plain_log(ax.xaxis)
-    add_legend(axes, *ax.get_legend_handles_labels())
+    add_legend(axes)
     return figure
 
 
@@ -194,7 +191,7 @@ def before_and_after(
     ax.tick_params(axis="x", length=0)
     ax.grid(axis="x", visible=False)
     plain_log(ax.yaxis)
-    add_legend(axes, *ax.get_legend_handles_labels())
+    add_legend(axes)
     return figure
 
 
@@ -231,8 +228,7 @@ def signals(rows: Sequence[tuple[str, np.ndarray, np.ndarray, np.ndarray, float]
             ax.margins(x=0.01)
     for ax in axes[-1]:
         ax.set_xlabel("pose" if poses else "time [s]")
-    handles, labels = (a + b for a, b in zip(*(ax.get_legend_handles_labels() for ax in axes[0]), strict=True))
-    add_legend(axes, handles, labels)
+    add_legend(axes, *axes[0])
     return figure
 
 
@@ -248,7 +244,7 @@ def push_course(times: np.ndarray, force: np.ndarray, std: np.ndarray) -> Figure
     ax.set_title("force in base axes [N]")
     ax.set_xlabel("time [s]")
     ax.margins(x=0.01)
-    add_legend(axes, *ax.get_legend_handles_labels())
+    add_legend(axes)
     return figure
 
 
@@ -270,5 +266,5 @@ def described_figure(panels: Sequence[tuple[str, str, np.ndarray, np.ndarray, np
         ax.plot(x[::thin], said[::thin], lw=0.9, color=PREDICTED, rasterized=True, label="the term")
         ax.set_title(title)
         ax.set_xlabel(variable)
-    add_legend(axes, *axes[0, 0].get_legend_handles_labels())
+    add_legend(axes)
     return figure

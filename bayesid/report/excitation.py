@@ -18,7 +18,7 @@ from bayesid.report.page import bullets, cards, figure, fold, lead, note, page, 
 from bayesid.results.excitation import Excitation, block_length, duration_text
 from bayesid.results.files import report_of
 from bayesid.results.telling import TRAJECTORY, DistinguishingMotion, chance, duration, pair_table
-from bayesid.results.text import DASH, number, percent
+from bayesid.rounding import DASH, number, percent
 from bayesid.section import Html, ShownSection, ShownTable
 
 _PLOTTED = 1000
@@ -299,6 +299,6 @@ def _(result: DistinguishingMotion) -> Figures:
 
 
 def _figures(times: np.ndarray, panels: Sequence[tuple[str, str, list[str], np.ndarray]]) -> Figures:
-    from bayesid.report.curve_figures import panels_figure  # the report needs no matplotlib
+    from bayesid.report.motion_figures import curves  # the report needs no matplotlib
 
-    return {"motion": partial(panels_figure, times, panels)}
+    return {"motion": partial(curves, times, [(f"{title} [{unit}]", names, values) for title, unit, names, values in panels])}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bayesid.report.page import how, note, page, terms, versions, warnings
 from bayesid.results.exported import Exported
 from bayesid.results.files import report_of
-from bayesid.results.text import channel_text, number
+from bayesid.rounding import channel_text, number
 from bayesid.section import ShownSection, ShownTable
 
 

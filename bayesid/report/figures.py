@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
@@ -108,12 +108,12 @@ def to_svg(figure: Figure, name: str) -> str:
 
 def make_grid(
     rows: int, columns: int, height: float, *, left: float = 0.7, right: float = 0.2, top: float = 0.5, gap: float = 0.75,
-    ax: Any = None, **options: Any,
+    used: int | None = None, ax: Any = None, **options: Any,
 ) -> tuple[Figure, np.ndarray]:  # fmt: skip
     """A figure with panels of a height; margins in inches. An automatic layout would take most of a report's time.
 
-    The user's own Axes ``ax``, row by row, are used in place of a new figure; an `InputError` where they are fewer or more than
-    panels. ``options`` go to ``subplots`` of a new one.
+    The user's own Axes ``ax``, row by row, are taken in place of a new figure; an `InputError` where they are fewer or more than
+    panels. ``options`` go to ``subplots`` of a new one, of whose panels all but the first ``used`` are hidden.
     """
     if ax is not None:
         given = given_axes(ax)
@@ -132,7 +132,10 @@ def make_grid(
         left=left / _WIDTH, right=1.0 - right / _WIDTH, top=1.0 - top / total, bottom=bottom / total,
         wspace=gap / width, hspace=space / height,
     )  # fmt: skip
-    return figure, figure.subplots(rows, columns, squeeze=False, **options)
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    for panel in axes.ravel()[used:] if used is not None else ():
+        panel.set_visible(False)
+    return figure, axes
 
 
 def given_axes(ax: Any) -> Sequence[Axes]:
@@ -155,13 +158,40 @@ def picked(names: Sequence[str], channels: Sequence[str] | str | None) -> list[i
     return [list(names).index(name) for name in asked]
 
 
-def add_legend(axes: np.ndarray, handles: list, labels: list, lines: int = 1) -> None:
-    """One legend for all panels: in the upper right corner of a figure of its own, in the first of the user's axes."""
-    figure = axes.flat[0].figure
+def add_legend(axes: np.ndarray, *panels: Axes, lines: int = 1) -> None:
+    """One legend of what some panels show, default the first, as `place_legend` places it."""
+    entries: dict[str, Any] = {}
+    for panel in panels or axes.flat[:1]:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    place_legend(axes, entries, lines)
+
+
+def place_legend(axes: np.ndarray, entries: Mapping[str, Any], lines: int = 1) -> None:
+    """One legend for all panels, of handles by label: in the upper right corner of an own figure, in the first of given axes."""
+    figure, handles = axes.flat[0].figure, list(entries.values())
     if handles and isinstance(figure, Drawing):
-        figure.legend(handles, labels, loc="upper right", ncols=-(-len(handles) // lines), borderaxespad=0.1, handletextpad=0.6)
+        columns = -(-len(handles) // lines)
+        figure.legend(handles, list(entries), loc="upper right", ncols=columns, borderaxespad=0.1, handletextpad=0.6)
     elif handles:
-        axes.flat[0].legend(handles, labels, loc="best")
+        axes.flat[0].legend(handles, list(entries), loc="best")
+
+
+def list_rows(panel: Axes, names: Sequence[str], edge: float = 0.6, **style: Any) -> None:
+    """Names of rows from top to bottom in place of an axis; ``edge`` is the room beyond the first and the last one [rows]."""
+    panel.set_yticks(np.arange(len(names)), list(names), **style)
+    panel.set_ylim(len(names) - 1.0 + edge, -edge)
+    panel.grid(axis="y", visible=False)
+    panel.tick_params(axis="y", length=0)
+
+
+def label_lowest(axes: np.ndarray, label: str) -> None:
+    """Name the abscissa below the lowest visible panel of every column."""
+    for column in axes.T:
+        visible = [panel for panel in column if panel.get_visible()]
+        if visible:
+            visible[-1].set_xlabel(label)
+            visible[-1].tick_params(labelbottom=True)
 
 
 def tidy_time(ax: Axes, poses: bool) -> None:

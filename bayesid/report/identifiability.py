@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from bayesid.design.identifiability import SetReport
 from bayesid.design.visibility import ALONE, COMBINATION, EFFECT, LETTERS, NEVER, UNEXCITED, WEAK, WORDS, by_body
 from bayesid.drawing import Figures, figures_of
-from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, plain_log, styled
+from bayesid.report.figures import CLASSES, GREY, list_rows, make_grid, place_legend, plain_log, styled
 from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, run_times, svg, terms, versions, warnings
 from bayesid.results.files import report_of
 from bayesid.results.identifiability import (
@@ -29,7 +29,7 @@ from bayesid.results.identifiability import (
     share,
     spread,
 )
-from bayesid.results.text import DASH, number, percent
+from bayesid.rounding import DASH, number, percent
 from bayesid.section import Html, Part, ShownSection, ShownTable, tag
 
 #: Colour of every class, and of its letter, which tells it in print and to the colour-blind.
@@ -81,8 +81,9 @@ def classes(reports: Sequence[SetReport], main: SetReport, ax: Any = None) -> Fi
         rank = f"{report.rank}" if most in (None, report.rank) else f"{report.rank} of {most}"
         ax.set_title(f"{'● ' if report is main else ''}{report.sensor_set.title}: {rank}", fontsize=8.5)
     used = {p.kind for r in reports for p in r.parameters}
-    handles = [Patch(facecolor=LOOKS[k][0], edgecolor="#94a3b8", linewidth=0.5) for k in kinds if k in used]
-    add_legend(axes, handles, [f"{LETTERS[k]}: {WORDS[k]}" for k in kinds if k in used], lines=2)
+    shown = [k for k in kinds if k in used]
+    handles = {f"{LETTERS[k]}: {WORDS[k]}": Patch(facecolor=LOOKS[k][0], edgecolor="#94a3b8", linewidth=0.5) for k in shown}
+    place_legend(axes, handles, lines=2)
     return figure
 
 
@@ -97,9 +98,7 @@ def expected(report: SetReport, names: Sequence[str], ax: Any = None) -> Figure:
     ax = axes[0, 0]
     colours = [CLASSES[bases[k].kind] for k in order]
     ax.barh(np.arange(len(bases)), values[order], color=colours, height=0.72, left=0.0)
-    ax.set_yticks(np.arange(len(bases)), [names[k] for k in order], fontsize=7.5)
-    ax.set_ylim(len(bases) - 0.4, -0.6)
-    ax.grid(axis="y", visible=False)
+    list_rows(ax, [names[k] for k in order], fontsize=7.5)
     ax.set_xscale("log")
     ends = values[values > 0]
     ax.set_xlim(10 ** np.floor(np.log10(ends.min()) - 0.1), 10 ** np.ceil(np.log10(ends.max()) + 0.1))
@@ -108,9 +107,7 @@ def expected(report: SetReport, names: Sequence[str], ax: Any = None) -> Figure:
     ax.set_xlabel("expected standard deviation" + (" / size; dashed: as large as the body itself" if sized else " [SI units]"))
     plain_log(ax.xaxis)
     used = {b.kind for b in bases}
-    shown = [k for k in (ALONE, COMBINATION, WEAK) if k in used]
-    add_legend(axes, [Patch(color=CLASSES[k]) for k in shown], [WORDS[k] for k in shown])
-    ax.tick_params(axis="y", length=0)
+    place_legend(axes, {WORDS[k]: Patch(color=CLASSES[k]) for k in (ALONE, COMBINATION, WEAK) if k in used})
     return figure
 
 

@@ -14,6 +14,7 @@ from bayesid.regression.problem import Problem
 from bayesid.report.accuracy_figures import certificate_section
 from bayesid.report.identification_figures import bandwidth_sensitivity, intervals_figure
 from bayesid.report.identification_limits import limits_section
+from bayesid.report.motion_figures import measured_against_predicted, residuals
 from bayesid.report.page import (
     below,
     cards,
@@ -29,11 +30,10 @@ from bayesid.report.page import (
     versions,
     warnings,
 )
-from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.files import report_of
 from bayesid.results.identification import Identification
-from bayesid.results.text import DASH, chance, channel_text, ends, number, percent, with_interval
 from bayesid.robot import inertia
+from bayesid.rounding import DASH, chance, channel_text, ends, number, percent, with_interval
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable, tag
 from bayesid.validation.headline import judged, still_predictable, worse_than_nothing
 from bayesid.validation.prediction import BAND, TOLERATED, Prediction
@@ -212,7 +212,7 @@ def identification_report(result: Identification) -> str:
         warnings(result.warnings, fine), *(lead(f"**{text}**", "bad") for text in result.unusable), lead(_verdict(result)),
         cards(_cards(result)),
     ]  # fmt: skip
-    kicker = f"Inertial parameters of {robot}, identified from the {channel_text(problem.channel)} of {', '.join(problem.fitted)}"
+    kicker = f"Inertial parameters of {robot}, identified from the {channel_text(problem.channel, problem.fitted)}"
     return page(name, f"{kicker} by {estimate.method}", opening, sections, f"{name}: identification")
 
 

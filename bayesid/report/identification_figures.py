@@ -14,9 +14,20 @@ from bayesid.drawing import Figures, figures_of
 from bayesid.estimators import Estimate
 from bayesid.regression.bandwidth import BandwidthChoice
 from bayesid.regression.regression import Regression
-from bayesid.report.figures import CLASSES, GREY, NOISE, PREDICTED, add_legend, given_axes, make_grid, plain_log, styled
+from bayesid.report.figures import (
+    CLASSES,
+    GREY,
+    NOISE,
+    PREDICTED,
+    add_legend,
+    given_axes,
+    list_rows,
+    make_grid,
+    plain_log,
+    styled,
+)
 from bayesid.results.loaded import LoadedIdentification
-from bayesid.results.text import HALF
+from bayesid.rounding import HALF
 
 #: Half a 95 % interval, in natural sizes, from which a parameter counts as weak: a standard deviation of one.
 WEAK = 1.96
@@ -62,14 +73,12 @@ def parameter_intervals(
             side = np.sign(position[k])
             left.plot(0.985 * side * limit, y[k], ">" if side > 0 else "<", ms=5.5, color=colour, mew=0)
     left.axvline(0.0, color="#334155", lw=0.9)
-    left.set(xlim=(-limit, limit), ylim=(count - 0.3, -0.7), xlabel="change against the nominal model, in natural sizes")
-    left.set_yticks(y, names)
-    left.grid(axis="y", visible=False)
+    left.set(xlim=(-limit, limit), xlabel="change against the nominal model, in natural sizes")
+    list_rows(left, names, 0.7)
     left.set_title("Value and 95 % interval")
-    left.tick_params(axis="y", length=0)
     if panels == 2:
         _how_sure(axes[0, 1], 100 * width, classes)
-    add_legend(axes, *left.get_legend_handles_labels())
+    add_legend(axes)
     return figure
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from bayesid.dynamics.base_parameters import BaseParameters, notation
 from bayesid.report.page import below, bullets
 from bayesid.results.identification import Identification
-from bayesid.results.text import channel_text
+from bayesid.rounding import channel_text
 from bayesid.section import Part, ShownSection, ShownTable
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from bayesid.results.text import number
 from bayesid.robot import inertia
+from bayesid.rounding import number
 from bayesid.section import Html, Part, ShownSection, as_html, long, marked
 
 #: A page with so many sections begins with a list of them.

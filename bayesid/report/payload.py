@@ -14,13 +14,12 @@ from matplotlib.figure import Figure
 from bayesid.design.payload.body import Quantity
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, styled
+from bayesid.report.motion_figures import measured_against_predicted
 from bayesid.report.page import below, cards, figure, how, note, page, run_times, svg, versions, warnings
-from bayesid.report.prediction_figures import measured_against_predicted
-from bayesid.results.beside import cells
 from bayesid.results.calibration import Calibration
 from bayesid.results.files import report_of
-from bayesid.results.payload import SOURCES, PayloadEstimate
-from bayesid.results.text import channel_text, number
+from bayesid.results.payload import SOURCES, PayloadEstimate, cells
+from bayesid.rounding import channel_text, number
 from bayesid.section import Html, Part, ShownSection
 
 
@@ -104,7 +103,7 @@ def payload_figure(result: PayloadEstimate, ax: Any = None) -> Figure:
         panel.set_title(title)
         panel.set_xticks([])
         panel.set_xlim(-1.0, 2.0)
-    add_legend(axes, *axes[0, 0].get_legend_handles_labels())
+    add_legend(axes)
     return figure
 
 

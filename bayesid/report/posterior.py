@@ -14,12 +14,12 @@ from bayesid.drawing import Figures, figures_of
 from bayesid.posterior.result import Posterior
 from bayesid.report.charts import CYCLE
 from bayesid.report.figures import CLASSES, GREY, NOISE, add_legend, make_grid, picked, styled
+from bayesid.report.motion_figures import measured_against_predicted, residuals
 from bayesid.report.page import below, cards, figure, fold, how, lead, page, run_times, svg, versions, warnings
-from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.files import report_of
 from bayesid.results.loaded import LoadedPosterior
 from bayesid.results.posterior import ExperimentPosterior
-from bayesid.results.text import DASH, channel_text, number, percent, with_half
+from bayesid.rounding import DASH, channel_text, number, percent, with_half
 from bayesid.section import Html, Part, ShownSection, ShownTable, tag
 from bayesid.validation.headline import judged, still_predictable
 from bayesid.validation.prediction import BAND
@@ -35,13 +35,10 @@ def marginals(
 ) -> Figure:
     """Marginal posterior of every base parameter, draws (n, r), beside its prior's (m, r), None where it is flat."""
     columns = _COLUMNS if ax is None else 1
-    figure, axes = make_grid(-(-len(names) // columns), columns, 1.0, left=0.2, gap=0.22, ax=ax)
+    figure, axes = make_grid(-(-len(names) // columns), columns, 1.0, left=0.2, gap=0.22, used=len(names), ax=ax)
     if ax is None:
         figure.subplots_adjust(hspace=0.6)
-    for k, ax in enumerate(axes.ravel()):
-        if k >= len(names):
-            ax.set_visible(False)
-            continue
+    for k, ax in enumerate(axes.ravel()[: len(names)]):
         x = draws[:, k]
         low, high = np.quantile(x, [0.001, 0.999])
         reach = 0.6 * max(high - low, 1e-12 * max(abs(high), 1.0))
@@ -65,10 +62,7 @@ def marginals(
         ax.xaxis.set_major_locator(MaxNLocator(3))
         ax.tick_params(labelsize=7, pad=1)
         ax.spines["left"].set_visible(False)
-    handles: dict[str, object] = {}
-    for ax in axes.ravel():
-        handles |= {label: handle for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
-    add_legend(axes, list(handles.values()), list(handles))
+    add_legend(axes, *axes.flat)
     return figure
 
 
@@ -83,7 +77,7 @@ def predictive(
     """Measured rows (k, c), over the central 95 % of those that the posterior predicts (chains, draws, k, c), noise included."""
     chosen = picked(tuple(names), channels)
     columns = 2 if len(chosen) > 1 and ax is None else 1
-    figure, axes = make_grid(-(-len(chosen) // columns), columns, 1.15, sharex=True, ax=ax)
+    figure, axes = make_grid(-(-len(chosen) // columns), columns, 1.15, sharex=True, used=len(chosen), ax=ax)
     low, high = np.quantile(replicated, [0.025, 0.975], axis=(0, 1))
     x = np.arange(len(measured))
     for k, panel in zip(chosen, axes.ravel(), strict=False):
@@ -91,11 +85,9 @@ def predictive(
         panel.plot(x, measured[:, k], ".", ms=2.5, color="#334155", label="measured")
         panel.set_title(names[k])
         panel.yaxis.set_major_locator(MaxNLocator(4))
-    for panel in axes.ravel()[len(chosen) :]:
-        panel.set_visible(False)
     for panel in axes[-1]:
         panel.set_xlabel("row, evenly picked")
-    add_legend(axes, *axes.ravel()[0].get_legend_handles_labels())
+    add_legend(axes)
     return figure
 
 
@@ -137,7 +129,7 @@ def ranks(names: Sequence[str], draws: np.ndarray) -> Figure:
         ax.set_title(names[k] if len(names[k]) < 34 else names[k][:31] + "...", fontsize=8)
         ax.set(ylim=(0, 2.0 * level), xlim=(0, chains * count), xlabel="rank", yticks=[])
         ax.xaxis.set_major_locator(MaxNLocator(3))
-    add_legend(axes, *axes[0, 0].get_legend_handles_labels())
+    add_legend(axes)
     return figure
 
 
@@ -179,10 +171,9 @@ def posterior_report(result: ExperimentPosterior) -> str:
         how(*_how(result), after="All draws are in `posterior.nc`, which ArviZ opens; numbers in `posterior.json`."),
     ]  # fmt: skip
     name, robot = problem.experiment.name, problem.experiment.robot.name
-    readings = f"{channel_text(problem.channel)} of {', '.join(problem.fitted)}"
     fine = "No warnings: the chains agree and validation motions are predicted down to the noise."
     opening = [warnings(result.warnings, fine), lead(_lead(result)), cards(_cards(result))]
-    kicker = f"Posterior of the inertial parameters of {robot}, from the {readings}"
+    kicker = f"Posterior of the inertial parameters of {robot}, from the {channel_text(problem.channel, problem.fitted)}"
     return page(name, kicker, opening, sections, f"{name}: posterior")
 
 

@@ -14,11 +14,11 @@ from bayesid.arguments import argument, call
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, text_width, write
-from bayesid.report.curve_figures import course_figure
+from bayesid.report.figures import NOISE, PREDICTED, add_legend, make_grid, styled
 from bayesid.report.page import figure, how, lead, note, page, svg, versions
 from bayesid.results.files import report_of
-from bayesid.results.text import HALF, channel_text, number, percent
 from bayesid.results.watch import Watch
+from bayesid.rounding import HALF, channel_text, number, percent
 from bayesid.section import ShownSection
 
 _HEIGHT, _TOP, _BOTTOM = 150.0, 26.0, 46.0
@@ -79,10 +79,24 @@ def gap_figure(result: Watch, ax: Any = None) -> Figure:
     return _course(result, [w.gap for w in result.recordings], title, ax=ax)
 
 
+@styled
 def _course(result: Watch, values: Sequence[float], title: str, needed: float | None = None, ax: Any = None) -> Figure:
-    entries = result.recordings
+    """A number of every recording in turn, coloured where something changed; nan where it was not compared."""
+    entries, shown = result.recordings, np.array(values, float)
     changed = np.array([bool(w.changes) or w.verdict == "unknown" for w in entries], bool)
-    return course_figure([w.name for w in entries], np.array(values, float), changed, title, needed, ax)
+    figure, axes = make_grid(1, 1, 1.8, top=0.4, ax=ax)
+    panel, x = axes[0, 0], np.arange(len(entries))
+    panel.plot(x, shown, color="#94a3b8", lw=0.9)
+    for part, colour, label in ((changed, PREDICTED, "changed"), (~changed, NOISE, "nothing changed")):
+        if part.any():
+            panel.plot(x[part], shown[part], "o", ms=5, color=colour, mew=0, label=label)
+    if needed is not None:
+        panel.axhline(needed, color="#334155", lw=0.9, label="asked for")
+    panel.set_ylim(0.0, 1.08 * panel.get_ylim()[1])
+    panel.set_xticks(x, [w.name if len(w.name) < 18 else f"{w.name[:16]}…" for w in entries])
+    panel.set_title(title)
+    add_legend(axes)
+    return figure
 
 
 def _sizes(result: Watch) -> list:

@@ -16,7 +16,7 @@ from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
 from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.results.files import ShownResult, strict
-from bayesid.results.text import DASH, channel_text, number, percent
+from bayesid.rounding import DASH, channel_text, number, percent
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class Accuracy(ShownResult):
         bench, sweeps, labels = self.bench, self.sweeps, self.labels
         headline = (
             f"{bench.experiment.name}: accuracy of {bench.rank} base parameters by {bench.method.name} from the "
-            f"{channel_text(bench.problem.channel)} of {', '.join(bench.problem.fitted)}"
+            f"{channel_text(bench.problem.channel, bench.problem.fitted)}"
         )
         parts: list[Part] = [headline]
         if self.improvements:

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from bayesid.design.payload.body import Quantity
 from bayesid.errors import InputError
-from bayesid.results.beside import cells
 from bayesid.results.controllers import FORMATS, Load
 from bayesid.results.files import Files, ShownResult
 from bayesid.results.identification import Identification
-from bayesid.results.text import number
+from bayesid.results.payload import cells
+from bayesid.rounding import number
 from bayesid.section import ShownTable
 
 SCHEMA = 1

@@ -16,7 +16,7 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.results.files import Files, ShownResult, strict
 from bayesid.results.fitted_model import placed
-from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
+from bayesid.rounding import DASH, HALF, channel_text, interval, number, percent, unit_text, with_half
 from bayesid.section import ShownTable, as_html, powers
 
 #: Kinds of changes whose smallest visible size is given where nothing changed.
@@ -85,9 +85,9 @@ class Changes(ShownResult):
     def _parts(self) -> list[str | ShownTable]:
         c = self.comparison
         problem = c.recording.problem
-        since, channel = c.reference.problem.experiment.name, channel_text(problem.channel)
+        since, readings = c.reference.problem.experiment.name, channel_text(problem.channel, problem.fitted)
         lines = [
-            f"{problem.experiment.name} since {since}: {c.verdict.replace('_', ' ')} ({channel} of {', '.join(problem.fitted)})",
+            f"{problem.experiment.name} since {since}: {c.verdict.replace('_', ' ')} ({readings})",
             verdict_sentence(c),
         ]
         for x in c.changes:
@@ -209,7 +209,7 @@ def value_text(v: Value) -> tuple[str, str, str, str, str]:
     """Name, change, half the 95 % interval, the interval and the unit of a parameter."""
     half = HALF * v.std
     text, spread = with_half(v.value, half)
-    return v.name, text, spread, interval(v.value, half), "" if v.unit == "1" else v.unit
+    return v.name, text, spread, interval(v.value, half), unit_text(v.unit)
 
 
 def shares_sentence(x: NamedChange, comparison: ReferenceComparison) -> str:

@@ -16,8 +16,8 @@ from bayesid.estimators.weights import Weights
 from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
 from bayesid.results.files import ShownResult, strict
-from bayesid.results.text import DASH, chance, channel_text, number, percent, with_interval
 from bayesid.results.urdf_links import UrdfLinks
+from bayesid.rounding import DASH, chance, channel_text, number, percent, with_interval
 from bayesid.section import Cell, Part, ShownSection, ShownTable
 from bayesid.validation.agreement import EstimatorDifference, HausmanTest
 from bayesid.validation.headline import judged
@@ -346,7 +346,7 @@ def _title(result: Comparison) -> str:
     if result.problem is None:
         return f"{estimators} on one regression, {rank} base parameters"
     p = result.problem
-    return f"{p.experiment.name}: {estimators} on the {channel_text(p.channel)} of {', '.join(p.fitted)}, {rank} base parameters"
+    return f"{p.experiment.name}: {estimators} on the {channel_text(p.channel, p.fitted)}, {rank} base parameters"
 
 
 def overview_table(result: Comparison) -> ShownTable:

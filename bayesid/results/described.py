@@ -15,7 +15,7 @@ from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import dump_model
 from bayesid.results.fitted_model import fitted_model
-from bayesid.results.text import HALF, percent, with_half
+from bayesid.rounding import HALF, percent, with_half
 from bayesid.section import powers
 
 #: The file that it is written into beside a diagnosis.

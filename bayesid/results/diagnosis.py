@@ -30,7 +30,7 @@ from bayesid.results.described import DRAFT, described_lines, description_dict, 
 from bayesid.results.files import Files, ShownResult
 from bayesid.results.fitted_model import fitted_model, placed
 from bayesid.results.telling import NEXT_MOTION, telling_dict
-from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
+from bayesid.rounding import DASH, HALF, channel_text, interval, number, percent, unit_text, with_half
 from bayesid.section import Part, ShownTable, as_html, powers
 from bayesid.simulation.trajectories import write_trajectory
 from bayesid.validation.own_fit import MotionErrors
@@ -113,9 +113,9 @@ class Diagnosis(ShownResult):
         return f"<Diagnosis of {self.data.experiment.name}: {self.verdict}{named}>"
 
     def _parts(self) -> list[str]:
-        fitted = ", ".join(dict.fromkeys(s.motion for s in self.data.segments))
+        readings = channel_text(self.data.channel, dict.fromkeys(s.motion for s in self.data.segments))
         lines = [
-            f"{self.data.experiment.name}: {self.verdict.replace('_', ' ')} ({channel_text(self.data.channel)} of {fitted})",
+            f"{self.data.experiment.name}: {self.verdict.replace('_', ' ')} ({readings})",
             verdict_sentence(self),
         ]
         for k in range(len(self.found)):
@@ -488,7 +488,7 @@ def steady_sentence(found: Found, diagnosis: Diagnosis) -> str:
         if np.isfinite(low) and np.isfinite(high):
             # As many digits as tell the two ends apart.
             first, last = (with_half(v, max(0.2 * (high - low), 1e-6 * abs(value)))[0] for v in (low, high))
-            parts.append(f"{key} between {first} and {last}" + ("" if unit == "1" else f" {powers(unit)}"))
+            parts.append(f"{key} between {first} and {last} {powers(unit_text(unit))}".rstrip())
         else:
             parts.append(f"{key} not determined")
     least = f"{mine.least:,.0f}".replace(",", " ") if mine.least >= 100 else number(mine.least, 3)
@@ -534,7 +534,7 @@ def parameter_rows(diagnosis: Diagnosis, index: int) -> list[tuple[str, str, str
         half = HALF * float(std)
         known = np.isfinite(half) and half > 0.0
         text, spread = with_half(value, half) if known else (NOT_DETERMINED, DASH)
-        rows.append((key, text, spread, interval(value, half) if known else DASH, "" if unit == "1" else unit))
+        rows.append((key, text, spread, interval(value, half) if known else DASH, unit_text(unit)))
     return rows
 
 

@@ -16,7 +16,7 @@ from bayesid.design.excitation.diagnosability import Diagnosability
 from bayesid.design.excitation.series import FourierSeries
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.results.files import Files, ShownResult, strict
-from bayesid.results.text import number, percent
+from bayesid.rounding import number, percent
 from bayesid.section import ShownTable, powers
 from bayesid.simulation.trajectories import Trajectory, write_trajectory
 

@@ -16,7 +16,7 @@ from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.recordings.complaints import listed
 from bayesid.results.files import ShownResult, strict
 from bayesid.results.telling import chance
-from bayesid.results.text import DASH, number, percent
+from bayesid.rounding import DASH, number, percent, unit_text
 from bayesid.section import Cell, Part, ShownSection, ShownTable, powers
 
 if TYPE_CHECKING:
@@ -239,8 +239,8 @@ def effect_lines(report: SetReport) -> list[tuple[str, str]]:
     for name, members in groups.items():
         stds = sorted(e.std for e in members if e.std is not None)
         hidden = [e.name.rpartition(".")[0].partition("@")[2] for e in members if e.std is None]
-        unit = "" if members[0].unit == "1" else f" {powers(members[0].unit)}"
-        said = "" if not stds else f"± {number(stds[0], 3)}" + (f" to {number(stds[-1], 3)}" if len(stds) > 1 else "") + unit
+        ends = " to ".join(number(s, 3) for s in (stds if len(stds) < 2 else (stds[0], stds[-1])))
+        said = f"± {ends} {powers(unit_text(members[0].unit))}".rstrip() if stds else ""
         lost = f"not determined beside the links at {', '.join(hidden)}" if hidden else ""
         lines.append((name, "; ".join(part for part in (said, lost) if part)))
     return lines

@@ -12,7 +12,7 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.motion_checks import REPORTED, Timing
 from bayesid.results.files import ShownResult, strict
-from bayesid.results.text import counted
+from bayesid.rounding import counted
 from bayesid.section import ShownTable
 from bayesid.validation.mistakes.candidates import Mistake
 from bayesid.validation.own_fit import left_dict, left_text

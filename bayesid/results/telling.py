@@ -8,7 +8,7 @@ from typing import Any
 
 from bayesid.design.tell.choose import RivalPair, Telling
 from bayesid.results.files import Files, ShownResult
-from bayesid.results.text import number, percent
+from bayesid.rounding import number, percent
 from bayesid.section import ShownTable
 from bayesid.simulation.trajectories import write_trajectory
 

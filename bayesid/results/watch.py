@@ -10,7 +10,7 @@ import numpy as np
 from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison
 from bayesid.results.changes import change_dict, value_text
 from bayesid.results.files import ShownResult, strict
-from bayesid.results.text import DASH, number
+from bayesid.rounding import DASH, number
 from bayesid.section import Cell, ShownTable, powers
 from bayesid.validation.own_fit import left_dict
 from bayesid.validation.prediction import Prediction

@@ -28,8 +28,8 @@ from bayesid.regression.readings import make_channels
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands
 from bayesid.results.identification import Identification
 from bayesid.results.posterior import ExperimentPosterior, posterior_robot
-from bayesid.results.text import number
 from bayesid.robot.robot import Robot, motion_limits
+from bayesid.rounding import number
 from bayesid.signals.filters import LowPass
 from bayesid.simulation.trajectories import Trajectory, read_trajectory
 from bayesid.validation.noise_floor import noise_floor

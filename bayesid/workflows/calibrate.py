@@ -21,7 +21,7 @@ from bayesid.results.calibration import KINDS, Calibration, HiddenEffect
 from bayesid.results.controllers import Load
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.identification import Identification
-from bayesid.results.text import number, percent
+from bayesid.rounding import number, percent
 from bayesid.workflows.explained import Explained, explain, offset_of
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.warnings import contradictions, impossible_signs

@@ -14,10 +14,10 @@ from bayesid.effects import Effect, Term
 from bayesid.errors import BayesidError
 from bayesid.recordings.experiment import WRENCH_COLUMNS, Experiment
 from bayesid.regression.options import FitOptions
-from bayesid.results.beside import EffectBeside
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.fitted_model import fitted_model
 from bayesid.results.identification import Identification
+from bayesid.results.payload import EffectBeside
 from bayesid.workflows.diagnose import diagnose
 from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import Clock

@@ -29,10 +29,9 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.readings import default_channel
-from bayesid.results.beside import EffectBeside
-from bayesid.results.payload import NEXT_POSES, PayloadEstimate
-from bayesid.results.text import channel_text, number, percent, with_half
+from bayesid.results.payload import NEXT_POSES, EffectBeside, PayloadEstimate
 from bayesid.robot.inertia import PARAMETERS
+from bayesid.rounding import channel_text, number, percent, with_half
 from bayesid.workflows.diagnose import diagnose
 from bayesid.workflows.explained import Explained, explain, offset_of
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress

@@ -19,8 +19,8 @@ from bayesid.recordings.schema import read_model
 from bayesid.report import diagnosis as report
 from bayesid.report.diagnosis_views import diagnosis_views
 from bayesid.results import diagnosis
-from bayesid.results.text import percent
 from bayesid.robot.examples import PAPER_LOCKED
+from bayesid.rounding import percent
 from tests.report_pages import read
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 

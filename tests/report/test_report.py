@@ -9,8 +9,8 @@ import bayesid
 from bayesid.recordings.table import Table
 from bayesid.report.check import check_report
 from bayesid.report.identification import described, identification_report
-from bayesid.results.text import number, percent, with_half
 from bayesid.robot.robot import load_robot
+from bayesid.rounding import number, percent, with_half
 from bayesid.section import long
 from bayesid.workflows.check import check, noise_at_rest, sample_noise
 from tests.report_pages import read

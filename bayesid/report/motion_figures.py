@@ -1,15 +1,19 @@
-"""Figures of a prediction: measured beside predicted, and what is left beside the noise."""
+"""Curves over time with matplotlib: recordings as they are, planned motions, predictions, and what is left beside the noise."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from bayesid.drawing import Figures, figures_of
+from bayesid.recordings.experiment import Motion
 from bayesid.recordings.table import WRENCH_COLUMNS
+from bayesid.report.charts import CYCLE
 from bayesid.report.figures import (
     DENSE,
     MEASURED,
@@ -17,6 +21,7 @@ from bayesid.report.figures import (
     PREDICTED,
     add_legend,
     given_axes,
+    label_lowest,
     make_grid,
     picked,
     plain_log,
@@ -25,6 +30,53 @@ from bayesid.report.figures import (
 )
 from bayesid.validation.prediction import BAND, Prediction, ResidualSpectrum
 
+#: Samples of a recording that are drawn, about.
+_PLOTTED = 4000
+
+
+def recording_figure(motion: Motion, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
+    """Positions and readings of a recording as it is, a panel a group of columns."""
+    table = motion.table
+    stride = 1 if motion.kind == "poses" else max(len(table) // _PLOTTED, 1)
+    numbers = range(1, table.positions.shape[1] + 1)
+    groups = [("joint positions [rad or m]", [f"q{j}" for j in numbers], table.positions)]
+    if table.wrench is not None:
+        groups.append(("forces [N]", list(WRENCH_COLUMNS[:3]), table.wrench[:, :3]))
+        groups.append(("moments [N m]", list(WRENCH_COLUMNS[3:]), table.wrench[:, 3:]))
+    if table.torques is not None:
+        known = list(table.torque_joints)
+        groups.append(("joint torques [N m or N]", [f"tau{j + 1}" for j in known], table.torques[:, known]))
+    gaps = [-(-part.start // stride) for part in table.segments()[1:]]
+    shown = [(title, names, values[::stride]) for title, names, values in groups]
+    return curves(table.times[::stride], shown, channels, ax, gaps=gaps, poses=motion.kind == "poses")
+
+
+@styled
+def curves(
+    times: np.ndarray, groups: Sequence[tuple[str, Sequence[str], np.ndarray]], channels: Sequence[str] | str | None = None,
+    ax: Any = None, *, gaps: Sequence[int] = (), poses: bool = False,
+) -> Figure:  # fmt: skip
+    """Groups of curves over time [s], or numbered poses, a panel a group: its title, names (k,) and values (N, k).
+
+    No line is drawn across ``gaps``, the first samples after holes.
+    """
+    every = [name for _, names, _ in groups for name in names]
+    wanted = {every[k] for k in picked(every, channels)}
+    shown = [(title, [(k, n) for k, n in enumerate(names) if n in wanted], values) for title, names, values in groups]
+    shown = [group for group in shown if group[1]]
+    figure, axes = make_grid(len(shown), 1, 1.35, right=0.85, top=0.35, sharex=True, ax=ax)
+    x = np.insert(np.arange(1.0, len(times) + 1) if poses else times, list(gaps), np.nan)
+    for panel, (title, names, values) in zip(axes[:, 0], shown, strict=True):
+        for k, name in names:
+            style: dict[str, Any] = {"ls": "", "marker": ".", "ms": 4} if poses else {"lw": 0.9, "rasterized": len(x) > DENSE}
+            panel.plot(x, np.insert(values[:, k], list(gaps), np.nan), color=CYCLE[k % len(CYCLE)], label=name, **style)
+        panel.set_title(title)
+        panel.yaxis.set_major_locator(MaxNLocator(4))
+        panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.0)
+        tidy_time(panel, poses)
+    axes[-1, 0].set_xlabel("pose" if poses else "time [s]")
+    return figure
+
 
 @styled
 def measured_against_predicted(prediction: Prediction, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
@@ -32,8 +84,7 @@ def measured_against_predicted(prediction: Prediction, channels: Sequence[str] |
     chosen = picked(prediction.channel_names, channels)
     count = len(chosen)
     columns = 2 if count > 1 and ax is None else 1
-    rows = -(-count // columns)
-    figure, axes = make_grid(rows, columns, 1.15, sharex=True, ax=ax)
+    figure, axes = make_grid(-(-count // columns), columns, 1.15, sharex=True, ax=ax)
     # A wrench: forces on the left, moments on the right. Anything else: row by row.
     order = axes.T.ravel() if tuple(prediction.channel_names[k] for k in chosen) == WRENCH_COLUMNS else axes.ravel()
     x, (measured, predicted) = _with_breaks(prediction, prediction.measured, prediction.predicted)
@@ -50,8 +101,8 @@ def measured_against_predicted(prediction: Prediction, channels: Sequence[str] |
         tidy_time(ax, prediction.poses)
     for ax in order[count:]:
         ax.set_visible(False)
-    _label_lowest(axes, "pose" if prediction.poses else "time [s]")
-    add_legend(axes, *order[0].get_legend_handles_labels())
+    label_lowest(axes, "pose" if prediction.poses else "time [s]")
+    add_legend(axes)
     return figure
 
 
@@ -89,12 +140,9 @@ def residuals(prediction: Prediction, channels: Sequence[str] | str | None = Non
             plain_log(ax.xaxis)
             plain_log(ax.yaxis)
     axes[-1, 0].set_xlabel("pose" if prediction.poses else "time [s]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
     if spectrum is not None:
         axes[-1, 1].set_xlabel("frequency [Hz]")
-        more = axes[0, 1].get_legend_handles_labels()
-        handles, labels = [*handles, *more[0]], [*labels, *more[1]]
-    add_legend(axes, handles, labels)
+    add_legend(axes, *axes[0])
     return figure
 
 
@@ -120,10 +168,6 @@ def _with_breaks(prediction: Prediction, *curves: np.ndarray) -> tuple[np.ndarra
     return np.insert(times, gaps, np.nan), tuple(np.insert(c, gaps, np.nan, axis=0) for c in curves)
 
 
-def _label_lowest(axes: np.ndarray, label: str) -> None:
-    """Name the abscissa below the lowest visible panel of every column."""
-    for column in axes.T:
-        visible = [ax for ax in column if ax.get_visible()]
-        if visible:
-            visible[-1].set_xlabel(label)
-            visible[-1].tick_params(labelbottom=True)
+@figures_of.register
+def _(result: Motion) -> Figures:
+    return {"recording": partial(recording_figure, result)}
