@@ -6,7 +6,6 @@ import click
 
 import bayesid
 from bayesid.cli import options as shared
-from bayesid.cli.options import bounded
 from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 from bayesid.workflows.accuracy import add_certificate, check_estimate
@@ -37,7 +36,7 @@ def accuracy(
     with shared.running("accuracy", out) as run:
         filters, chosen = shared.low_pass(filter_l, filter_d), bayesid.estimator(method)
         loaded = shared.load(experiment, model, effects_from)
-        chosen = bounded(chosen, bounds, loaded)
+        chosen = shared.bounded(chosen, bounds, loaded)
         written = None if estimate is None else check_estimate(estimate, loaded, chosen)
         with run.resumable(loaded.name) as kept:
             result = bayesid.accuracy(

@@ -8,8 +8,6 @@ import click
 
 import bayesid
 from bayesid.cli import options as shared
-from bayesid.cli.options import bounded
-from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 
 
@@ -38,11 +36,9 @@ def bounds(experiment, filter_l, filter_d, model, effects_from, posterior, estim
         loaded = shared.load(experiment, model, effects_from)
         run.folder(loaded.name)  # can be written, before the long work
         if bounds is not None:
-            chosen = bounded(chosen, bounds, loaded)
+            chosen = shared.bounded(chosen, bounds, loaded)
         result = bayesid.bounds(loaded, run=known, method=chosen, low_pass=filters, progress=run.progress, **options)
-        report = run.write(result, loaded.name)
-    say(result)
-    say(f"report: {report}")
+        run.finish(result, loaded.name)
 
 
 def _run(posterior: Path | None, estimate: Path | None, method: str | None, bounds: Path | None) -> Path | None:

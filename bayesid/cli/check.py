@@ -9,7 +9,6 @@ import click
 
 import bayesid
 from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, OUT, UNUSED_SEED, load, running
-from bayesid.cli.terminal import say
 
 
 @click.command()
@@ -22,6 +21,4 @@ def check(experiment: Path, effects_from: tuple[Path, ...], out: Path | None) ->
     gc.disable()  # the search for cyclic garbage takes a twentieth of a run of a second; `main` turns it on again
     with running("check", out) as run:
         result = bayesid.check(load(experiment, None, effects_from), progress=run.progress)
-        report = run.write(result, result.name)
-    say(result)
-    say(f"report: {report}")
+        run.finish(result, result.name)

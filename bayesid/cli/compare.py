@@ -6,8 +6,6 @@ import click
 
 import bayesid
 from bayesid.cli import options as shared
-from bayesid.cli.options import all_bounded
-from bayesid.cli.terminal import say
 from bayesid.workflows.compare import DEFAULT_SET
 
 
@@ -28,8 +26,6 @@ def compare(experiment, filter_l, filter_d, model, effects_from, methods, bounds
             bayesid.estimator(method)
         loaded = shared.load(experiment, model, effects_from)
         if bounds is not None:
-            methods = all_bounded(methods or DEFAULT_SET, bounds, loaded)
+            methods = shared.all_bounded(methods or DEFAULT_SET, bounds, loaded)
         result = bayesid.compare(loaded, methods, low_pass=filters, progress=run.progress, **options)
-        report = run.write(result, loaded.name)
-    say(result)
-    say(f"report: {report}")
+        run.finish(result, loaded.name)

@@ -6,7 +6,6 @@ import click
 
 import bayesid
 from bayesid.cli.options import COMPARED_CHANNEL, EXPERIMENT, FILE, diagnosis_options, load, running
-from bayesid.cli.terminal import say
 
 
 @click.command()
@@ -22,6 +21,4 @@ def diagnose(experiment, reference, channel, motions, effects, model, effects_fr
         result = bayesid.diagnose(
             loaded, channel, reference=known, motions=motions, effects=effects, seed=seed, progress=run.progress
         )
-        report = run.write(result, loaded.name)
-    say(result)
-    say(f"report: {report}")
+        run.finish(result, loaded.name)

@@ -6,7 +6,6 @@ import click
 
 import bayesid
 from bayesid.cli.options import FILE, OUT, SEED, names, running
-from bayesid.cli.terminal import say
 
 
 @click.command()
@@ -24,6 +23,4 @@ def export(result, to, draws, out, seed) -> None:
     """Hand an identified robot on: RESULT is a folder that identify or sample wrote."""
     with running("export", out) as run:
         exported = bayesid.export(result, to, draws=draws, seed=seed, progress=run.progress)
-        report = run.write(exported, exported.name)
-    say(exported)
-    say(f"report: {report}")
+        run.finish(exported, exported.name)

@@ -8,7 +8,6 @@ import click
 
 import bayesid
 from bayesid.cli import options as shared
-from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import load_experiment, load_setup
 
@@ -49,6 +48,4 @@ def identifiability(experiment, trajectory, model, effects_from, out, **options)
         read = load_setup if trajectory else partial(load_experiment, planned=True)
         loaded = shared.load(experiment, model, effects_from, read)
         result = bayesid.identifiability(loaded, trajectory or None, progress=run.progress, **options)
-        report = run.write(result, loaded.name)
-    say(result)
-    say(f"report: {report}")
+        run.finish(result, loaded.name)

@@ -6,7 +6,6 @@ import click
 
 import bayesid
 from bayesid.cli import options as shared
-from bayesid.cli.options import bounded
 from bayesid.cli.terminal import say
 
 
@@ -27,7 +26,7 @@ def identify(experiment, filter_l, filter_d, model, effects_from, method, bounds
         chosen = None if method is None else bayesid.estimator(method)
         loaded = shared.load(experiment, model, effects_from)
         if bounds is not None:
-            chosen = bounded(chosen or bayesid.estimator(bayesid.DEFAULT_METHOD), bounds, loaded)
+            chosen = shared.bounded(chosen or bayesid.estimator(bayesid.DEFAULT_METHOD), bounds, loaded)
         result = bayesid.identify(loaded, method=chosen, low_pass=filters, progress=run.progress, **options)
         report = run.write(result, loaded.name)
     say(bayesid.summary(result), result.warnings)

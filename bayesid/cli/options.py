@@ -6,12 +6,13 @@ import contextlib
 import functools
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from bayesid.cli.terminal import say
 from bayesid.errors import EstimationError, InputError
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ class Run:
     verb: str
     out: Path | None  # where results go, as given
     progress: Callable[[str], None]
+    said: list[object] = field(default_factory=list)  # what is printed once it is done
 
     def folder(self, name: str) -> Path:
         """``--out``, or the default folder of the verb for an experiment; an `InputError` where it cannot be written."""
@@ -52,6 +54,10 @@ class Run:
         """Write a result into its `folder`; the report's path."""
         self.progress("report")
         return result.write(self.folder(name))
+
+    def finish(self, result: Result, name: str) -> None:
+        """Write a result, and print it and where its report is once the verb is done."""
+        self.said.extend([result, f"report: {self.write(result, name)}"])
 
     @contextlib.contextmanager
     def resumable(self, name: str) -> Iterator[Path]:
@@ -74,7 +80,10 @@ def running(verb: str, out: Path | None) -> Iterator[Run]:
     check_output(out or OUTPUTS, verb)
     with show_progress() as progress:
         progress("reading")
-        yield Run(verb, out, progress)
+        run = Run(verb, out, progress)
+        yield run
+    for text in run.said:
+        say(text)
 
 
 def together(*options: Callable) -> Callable:

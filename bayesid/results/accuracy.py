@@ -15,7 +15,7 @@ from bayesid.design.accuracy.susceptibility import Susceptibility
 from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
 from bayesid.drawing import figures_of
 from bayesid.errors import InputError
-from bayesid.results.files import ShownResult, strict
+from bayesid.results.files import SCHEMA, ShownResult, strict
 from bayesid.rounding import DASH, channel_text, number, percent
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable
 
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 _SHOWN_EFFECTS = 10
 #: A bias of less than this many standard deviations is none.
 NO_BIAS = 0.01
-
-
-SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False)

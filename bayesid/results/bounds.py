@@ -22,7 +22,7 @@ from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL
 from bayesid.estimators.parameters import EstimatedParameter
-from bayesid.results.files import Files, ShownResult
+from bayesid.results.files import SCHEMA, Files, ShownResult
 from bayesid.results.urdf_links import joint_dynamics
 from bayesid.robot.urdf import write_urdf
 from bayesid.rounding import HALF, number, percent
@@ -31,9 +31,6 @@ from bayesid.section import Part, ShownTable
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
-
-
-SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False)

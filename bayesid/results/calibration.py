@@ -12,13 +12,12 @@ from numpy.typing import ArrayLike
 from bayesid.design.payload.body import Quantity
 from bayesid.errors import InputError
 from bayesid.results.controllers import FORMATS, Load
-from bayesid.results.files import Files, ShownResult
+from bayesid.results.files import SCHEMA, Files, ShownResult
 from bayesid.results.identification import Identification
 from bayesid.results.payload import cells
 from bayesid.rounding import number
 from bayesid.section import ShownTable
 
-SCHEMA = 1
 #: Kinds of effects that a calibration tells of, and what they are.
 KINDS = {
     "sensor_offset": "offset", "sensor_drift": "drift", "sensor_gain": "gain of an axis", "sensor_crosstalk": "cross-talk",

@@ -14,16 +14,13 @@ from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters, write_model
-from bayesid.results.files import Files, ShownResult, strict
+from bayesid.results.files import SCHEMA, Files, ShownResult, strict
 from bayesid.results.fitted_model import placed
 from bayesid.rounding import DASH, HALF, channel_text, interval, number, percent, unit_text, with_half
 from bayesid.section import ShownTable, as_html, powers
 
 #: Kinds of changes whose smallest visible size is given where nothing changed.
 _LISTED = ("payload", "coulomb_friction", "viscous_friction", "torque_gain", "sensor_offset", "sensor_gain")
-
-
-SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from bayesid.estimators.parameters import joined
 from bayesid.estimators.weights import Weights
 from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
-from bayesid.results.files import ShownResult, strict
+from bayesid.results.files import SCHEMA, ShownResult, strict
 from bayesid.results.urdf_links import UrdfLinks
 from bayesid.rounding import DASH, chance, channel_text, number, percent, with_interval
 from bayesid.section import Cell, Part, ShownSection, ShownTable
@@ -169,7 +169,6 @@ class HasEntries:
         return concat(tables, names=["method"]).reset_index(level="method").reset_index(drop=True)
 
 
-SCHEMA = 1
 #: Errors of at most so many motions stand in the overview.
 _SHOWN_MOTIONS = 3
 

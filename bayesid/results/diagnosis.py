@@ -27,7 +27,7 @@ from bayesid.effects.effect import Derived
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.results.described import DRAFT, described_lines, description_dict, terms_of, write_draft
-from bayesid.results.files import Files, ShownResult
+from bayesid.results.files import SCHEMA, Files, ShownResult
 from bayesid.results.fitted_model import fitted_model, placed
 from bayesid.results.telling import NEXT_MOTION, telling_dict
 from bayesid.rounding import DASH, HALF, channel_text, interval, number, percent, unit_text, with_half
@@ -36,7 +36,6 @@ from bayesid.simulation.trajectories import write_trajectory
 from bayesid.validation.own_fit import MotionErrors
 from bayesid.validation.prediction import Prediction
 
-SCHEMA = 1
 #: What stands for a value that the data leave open.
 NOT_DETERMINED = "not determined"
 #: Disagreements that a terminal shows.

@@ -15,12 +15,11 @@ from bayesid.design.excitation.blocks import ScriptedBlock, StopAndGo
 from bayesid.design.excitation.diagnosability import Diagnosability
 from bayesid.design.excitation.series import FourierSeries
 from bayesid.dynamics.base_parameters import BaseParameters
-from bayesid.results.files import Files, ShownResult, strict
+from bayesid.results.files import SCHEMA, Files, ShownResult, strict
 from bayesid.rounding import number, percent
 from bayesid.section import ShownTable, powers
 from bayesid.simulation.trajectories import Trajectory, write_trajectory
 
-SCHEMA = 1
 _KINDS = {
     "position": "position", "velocity": "speed", "acceleration": "acceleration", "torque": "torque", "wrench": "sensor",
     "collision": "distance",

@@ -7,10 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from bayesid.results.files import Files, ShownResult
+from bayesid.results.files import SCHEMA, Files, ShownResult
 from bayesid.section import ShownTable
-
-SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,8 @@ from bayesid.recordings.whole import whole_folder
 from bayesid.section import Part, as_html, as_text
 
 REPORT = "report.html"
+#: Of the form of every document.
+SCHEMA = 1
 #: Keys of a written document that are not of the result's `to_dict`: what it is, how it prints, and the other files' hashes.
 BESIDE = ("result", "printed", "files")
 #: What each verb writes beside the report.
@@ -32,40 +34,19 @@ WRITTEN = {
     "compare": ("comparison.json",),
     "diagnose": ("diagnosis.json", "model.toml", "next_motion.csv", "draft_effect.toml"),
     "excite": (
-        "excitation.json",
-        "trajectory.csv",
-        "motions.toml",
-        "parked.csv",
-        "poses.csv",
-        "reversed.csv",
-        "speed-33.csv",
-        "speed-67.csv",
-        "stop-and-go.csv",
-    ),  # fmt: skip
-    "export": (
-        "export.json",
-        "identified.xml",
-        "identified.urdf",
-        "inverse_dynamics.hpp",
-        "inverse_dynamics.py",
-        "ranges.json",
-    ),  # fmt: skip
+        "excitation.json", "trajectory.csv", "motions.toml", "parked.csv", "poses.csv", "reversed.csv", "speed-33.csv",
+        "speed-67.csv", "stop-and-go.csv",
+    ),
+    "export": ("export.json", "identified.xml", "identified.urdf", "inverse_dynamics.hpp", "inverse_dynamics.py", "ranges.json"),
     "identifiability": ("identifiability.json",),
     "identify": ("estimate.json", "identified.urdf", "identified-unconstrained.urdf", "model.toml"),
     "payload": (
-        "payload.json",
-        "ur.script",
-        "endeffector-config.json",
-        "kuka.dat",
-        "xarm.py",
-        "gravity_compensation.yaml",
-        "ros2_gravity_filter.yaml",
-        "ros2_admittance.yaml",
-        "next_poses.csv",
-    ),  # fmt: skip
+        "payload.json", "ur.script", "endeffector-config.json", "kuka.dat", "xarm.py", "gravity_compensation.yaml",
+        "ros2_gravity_filter.yaml", "ros2_admittance.yaml", "next_poses.csv",
+    ),
     "sample": ("posterior.json", "posterior.nc", "identified.urdf"),
     "watch": ("watch.json",),
-}
+}  # fmt: skip
 
 
 #: Texts, or functions that write a file at the given path, by file name.

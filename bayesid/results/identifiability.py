@@ -14,7 +14,7 @@ from bayesid.design.visibility import LETTERS, WORDS, LinkExpectation, by_body
 from bayesid.drawing import figures_of
 from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.recordings.complaints import listed
-from bayesid.results.files import ShownResult, strict
+from bayesid.results.files import SCHEMA, ShownResult, strict
 from bayesid.results.telling import chance
 from bayesid.rounding import DASH, number, percent, unit_text
 from bayesid.section import Cell, Part, ShownSection, ShownTable, powers
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 _NAMED = 12
 #: Larger shares of a usual size are no size that an effect has.
 _HUGE = 1e3
-SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)

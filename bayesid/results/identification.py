@@ -24,7 +24,7 @@ from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.regression.parallel import in_order, one_blas_thread
 from bayesid.regression.problem import Problem
 from bayesid.results.estimated import HasEstimate, PlotsPredictions
-from bayesid.results.files import Files, Result
+from bayesid.results.files import SCHEMA, Files, Result
 from bayesid.results.fitted_model import by_effect, fitted_model, robot_section
 from bayesid.results.urdf_links import UrdfLinks, impossible_bodies
 from bayesid.robot.urdf import write_urdf
@@ -35,8 +35,6 @@ from bayesid.validation.headline import over_noise, still_predictable
 from bayesid.validation.noise_floor import NoiseFloor
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import BAND, Prediction, predict, predict_elsewhere
-
-SCHEMA = 1
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,9 @@ from bayesid.recordings.importing.column_map import UNITS
 from bayesid.recordings.importing.recording import Recording
 from bayesid.recordings.importing.signals import Signal
 from bayesid.recordings.writer import write_experiment
-from bayesid.results.files import strict
+from bayesid.results.files import SCHEMA, strict
 from bayesid.rounding import number, with_half
 
-SCHEMA = 1
 _EVEN = 1e-6  # jitter that no log of a robot is without [s]
 _OURS = {next(iter(units)) for units in UNITS.values()}
 

@@ -11,7 +11,7 @@ import numpy as np
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.motion_checks import REPORTED, Timing
-from bayesid.results.files import ShownResult, strict
+from bayesid.results.files import SCHEMA, ShownResult, strict
 from bayesid.rounding import counted
 from bayesid.section import ShownTable
 from bayesid.validation.mistakes.candidates import Mistake
@@ -20,8 +20,6 @@ from bayesid.validation.prediction import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-SCHEMA = 1
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from bayesid.design.payload.poses import NextPoses
 from bayesid.errors import InputError
 from bayesid.estimators.parameters import with_ends
 from bayesid.results.controllers import FORMATS, Load
-from bayesid.results.files import Files, ShownResult, strict
+from bayesid.results.files import SCHEMA, Files, ShownResult, strict
 from bayesid.robot import inertia
 from bayesid.robot.inertia import PARAMETERS, inertia_matrix
 from bayesid.rounding import DASH, HALF, channel_text, ends, number, unit_text, with_half, with_interval
@@ -22,7 +22,6 @@ from bayesid.section import ShownTable
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-SCHEMA = 1
 #: The table of poses to record next.
 NEXT_POSES = "next_poses.csv"
 #: Where the payload is known from, in words.

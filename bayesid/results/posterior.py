@@ -13,14 +13,12 @@ from bayesid.posterior.convert import write_netcdf
 from bayesid.posterior.result import Posterior
 from bayesid.regression.problem import Problem
 from bayesid.results.estimated import PlotsPredictions
-from bayesid.results.files import Files, Result
+from bayesid.results.files import SCHEMA, Files, Result
 from bayesid.results.fitted_model import by_effect, robot_section
 from bayesid.results.urdf_links import joint_dynamics
 from bayesid.robot.urdf import JointDynamics, write_urdf
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import Prediction
-
-SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)

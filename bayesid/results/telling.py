@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from bayesid.design.tell.choose import RivalPair, Telling
-from bayesid.results.files import Files, ShownResult
+from bayesid.results.files import SCHEMA, Files, ShownResult
 from bayesid.rounding import number, percent
 from bayesid.section import ShownTable
 from bayesid.simulation.trajectories import write_trajectory
@@ -16,7 +16,6 @@ from bayesid.simulation.trajectories import write_trajectory
 NEXT_MOTION = "next_motion.csv"
 #: Pairs that a sentence names.
 _NAMED = 2
-SCHEMA = 1
 #: The motion's file.
 TRAJECTORY = "trajectory.csv"
 

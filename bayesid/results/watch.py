@@ -9,13 +9,12 @@ import numpy as np
 
 from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison
 from bayesid.results.changes import change_dict, value_text
-from bayesid.results.files import ShownResult, strict
+from bayesid.results.files import SCHEMA, ShownResult, strict
 from bayesid.rounding import DASH, number
 from bayesid.section import Cell, ShownTable, powers
 from bayesid.validation.own_fit import left_dict
 from bayesid.validation.prediction import Prediction
 
-SCHEMA = 1
 _WORDS = {
     "named": "changed", "named_in_part": "changed, named in part", "ambiguous": "changed, ambiguous",
     "unknown": "changed, unknown", "nothing_missing": "nothing changed",

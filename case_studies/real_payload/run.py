@@ -49,7 +49,7 @@ class Shell:
         path = os.pathsep.join([str(HERE.parents[1]), os.environ.get("PYTHONPATH", "")])
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         done = subprocess.run(
-            [sys.executable, "-m", "bayesid.cli", *command.split()], cwd=self.folder, env={**os.environ, "PYTHONPATH": path},
+            [sys.executable, "-m", "bayesid", *command.split()], cwd=self.folder, env={**os.environ, "PYTHONPATH": path},
             capture_output=True, text=True, check=False,
         )  # fmt: skip
         if done.returncode:
