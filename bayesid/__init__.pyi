@@ -20,21 +20,18 @@ from .regression.options import FitOptions
 from .regression.regression import Regression
 from .results.accuracy import Accuracy
 from .results.bounds import ControllerBounds
-from .results.calibration import Calibration
-from .results.changes import Changes
+from .results.changes import Changes, Watch
 from .results.comparison import Comparison
 from .results.diagnosis import Diagnosis
-from .results.excitation import Excitation
+from .results.excitation import DistinguishingMotion, Excitation
 from .results.exported import Exported
 from .results.identifiability import Identifiability
 from .results.identification import Identification, summary
 from .results.imported import Imported
 from .results.inspection import Inspection
 from .results.loaded import NeedsRecording, load
-from .results.payload import PayloadEstimate
+from .results.payload import Calibration, PayloadEstimate
 from .results.posterior import ExperimentPosterior
-from .results.telling import DistinguishingMotion
-from .results.watch import Watch
 from .robot.prior import Prior
 from .robot.robot import Robot, load_robot
 from .signals.filters import LowPass

@@ -24,15 +24,16 @@ from bayesid.drawing import Figures, figures_of
 from bayesid.effects import Effect
 from bayesid.recordings.complaints import listed
 from bayesid.report.diagnosis_figures import (
+    Views,
     before_and_after,
     described_figure,
+    diagnosis_views,
     evidence,
     push_course,
     residual_maps,
     signals,
     waterfall,
 )
-from bayesid.report.diagnosis_views import Views, diagnosis_views
 from bayesid.report.excitation import PAIRS, motion_plot
 from bayesid.report.identification import mood_of
 from bayesid.report.page import below, bullets, cards, figure, fold, how, lead, note, page, svg, versions, warnings
@@ -50,9 +51,9 @@ from bayesid.results.diagnosis import (
     verdict_sentence,
     which_motions,
 )
+from bayesid.results.excitation import pair_table
 from bayesid.results.files import report_of
 from bayesid.results.fitted_model import placed
-from bayesid.results.telling import pair_table
 from bayesid.rounding import DASH, chance, channel_text, number, percent, unit_text
 from bayesid.section import Cell, Part, ShownSection, ShownTable
 from bayesid.validation.own_fit import MotionErrors

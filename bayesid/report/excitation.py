@@ -15,9 +15,17 @@ from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import WIDTH, Panel, chart, key, key_width, limits, text_width, write
 from bayesid.report.check import recording
 from bayesid.report.page import bullets, cards, figure, fold, lead, note, page, run_times, terms, versions, warnings
-from bayesid.results.excitation import Excitation, block_length, duration_text
+from bayesid.results.excitation import (
+    TRAJECTORY,
+    DistinguishingMotion,
+    Excitation,
+    block_length,
+    chance,
+    duration,
+    duration_text,
+    pair_table,
+)
 from bayesid.results.files import report_of
-from bayesid.results.telling import TRAJECTORY, DistinguishingMotion, chance, duration, pair_table
 from bayesid.rounding import DASH, number, percent
 from bayesid.section import Html, ShownSection, ShownTable
 

@@ -11,7 +11,7 @@ import numpy as np
 from bayesid.drawing import Figures, figures_of
 from bayesid.recordings.complaints import listed
 from bayesid.regression.problem import Problem
-from bayesid.report.accuracy_figures import certificate_section
+from bayesid.report.accuracy import certificate_section
 from bayesid.report.identification_figures import bandwidth_sensitivity, intervals_figure
 from bayesid.report.identification_limits import limits_section
 from bayesid.report.motion_figures import measured_against_predicted, residuals

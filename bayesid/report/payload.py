@@ -16,9 +16,8 @@ from bayesid.drawing import Figures, figures_of
 from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, styled
 from bayesid.report.motion_figures import measured_against_predicted
 from bayesid.report.page import below, cards, figure, how, note, page, run_times, svg, versions, warnings
-from bayesid.results.calibration import Calibration
 from bayesid.results.files import report_of
-from bayesid.results.payload import SOURCES, PayloadEstimate, cells
+from bayesid.results.payload import SOURCES, Calibration, PayloadEstimate, cells
 from bayesid.rounding import channel_text, number
 from bayesid.section import Html, Part, ShownSection
 

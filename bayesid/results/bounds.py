@@ -23,7 +23,7 @@ from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL
 from bayesid.estimators.parameters import EstimatedParameter
 from bayesid.results.files import SCHEMA, Files, ShownResult
-from bayesid.results.urdf_links import joint_dynamics
+from bayesid.results.fitted_model import joint_dynamics
 from bayesid.robot.urdf import write_urdf
 from bayesid.rounding import HALF, number, percent
 from bayesid.section import Part, ShownTable

@@ -16,7 +16,7 @@ from bayesid.estimators.weights import Weights
 from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
 from bayesid.results.files import SCHEMA, ShownResult, strict
-from bayesid.results.urdf_links import UrdfLinks
+from bayesid.results.fitted_model import UrdfLinks
 from bayesid.rounding import DASH, chance, channel_text, number, percent, with_interval
 from bayesid.section import Cell, Part, ShownSection, ShownTable
 from bayesid.validation.agreement import EstimatorDifference, HausmanTest

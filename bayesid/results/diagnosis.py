@@ -27,9 +27,9 @@ from bayesid.effects.effect import Derived
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.results.described import DRAFT, described_lines, description_dict, terms_of, write_draft
+from bayesid.results.excitation import NEXT_MOTION, telling_dict
 from bayesid.results.files import SCHEMA, Files, ShownResult
 from bayesid.results.fitted_model import fitted_model, placed
-from bayesid.results.telling import NEXT_MOTION, telling_dict
 from bayesid.rounding import DASH, HALF, channel_text, interval, number, percent, unit_text, with_half
 from bayesid.section import Part, ShownTable, as_html, powers
 from bayesid.simulation.trajectories import write_trajectory

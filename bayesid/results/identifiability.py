@@ -14,8 +14,8 @@ from bayesid.design.visibility import LETTERS, WORDS, LinkExpectation, by_body
 from bayesid.drawing import figures_of
 from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.recordings.complaints import listed
+from bayesid.results.excitation import chance
 from bayesid.results.files import SCHEMA, ShownResult, strict
-from bayesid.results.telling import chance
 from bayesid.rounding import DASH, number, percent, unit_text
 from bayesid.section import Cell, Part, ShownSection, ShownTable, powers
 

@@ -25,8 +25,7 @@ from bayesid.regression.parallel import in_order, one_blas_thread
 from bayesid.regression.problem import Problem
 from bayesid.results.estimated import HasEstimate, PlotsPredictions
 from bayesid.results.files import SCHEMA, Files, Result
-from bayesid.results.fitted_model import by_effect, fitted_model, robot_section
-from bayesid.results.urdf_links import UrdfLinks, impossible_bodies
+from bayesid.results.fitted_model import UrdfLinks, by_effect, fitted_model, impossible_bodies, robot_section
 from bayesid.robot.urdf import write_urdf
 from bayesid.rounding import LEVEL
 from bayesid.section import as_html, as_text

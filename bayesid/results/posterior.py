@@ -14,8 +14,7 @@ from bayesid.posterior.result import Posterior
 from bayesid.regression.problem import Problem
 from bayesid.results.estimated import PlotsPredictions
 from bayesid.results.files import SCHEMA, Files, Result
-from bayesid.results.fitted_model import by_effect, robot_section
-from bayesid.results.urdf_links import joint_dynamics
+from bayesid.results.fitted_model import by_effect, joint_dynamics, robot_section
 from bayesid.robot.urdf import JointDynamics, write_urdf
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import Prediction

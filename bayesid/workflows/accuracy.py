@@ -155,7 +155,7 @@ def add_certificate(path: Path, result: Accuracy) -> bool:
             "options that it "
             f"was made with, or run {call('identify')} again"
         )
-    from bayesid.report.accuracy_figures import with_certificate
+    from bayesid.report.accuracy import with_certificate
 
     return amend(path, {"certificate": found.to_dict()}, lambda page: with_certificate(page, found, base))
 

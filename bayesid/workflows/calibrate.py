@@ -17,10 +17,10 @@ from bayesid.diagnosis.settings import Settings
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
-from bayesid.results.calibration import KINDS, Calibration, HiddenEffect
 from bayesid.results.controllers import Load
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.identification import Identification
+from bayesid.results.payload import KINDS, Calibration, HiddenEffect
 from bayesid.rounding import number, percent
 from bayesid.workflows.explained import Explained, explain, offset_of
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress

@@ -23,7 +23,7 @@ from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
 from bayesid.results.comparison import Comparison, Entry, equal_estimates
-from bayesid.results.urdf_links import impossible_bodies
+from bayesid.results.fitted_model import impossible_bodies
 from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
 from bayesid.validation.agreement import HausmanTest, gaps, hausman, nominal_estimates

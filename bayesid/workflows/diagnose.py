@@ -35,7 +35,7 @@ from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel
 from bayesid.results.changes import Changes
 from bayesid.results.diagnosis import Diagnosis
-from bayesid.results.telling import NEXT_MOTION, telling_sentence
+from bayesid.results.excitation import NEXT_MOTION, telling_sentence
 from bayesid.validation.own_fit import motion_errors
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 

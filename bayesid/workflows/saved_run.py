@@ -17,8 +17,8 @@ from bayesid.posterior.result import Posterior
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
+from bayesid.results.fitted_model import joint_dynamics
 from bayesid.results.loaded import LoadedIdentification, LoadedPosterior
-from bayesid.results.urdf_links import joint_dynamics
 from bayesid.robot.prior import Prior
 from bayesid.robot.urdf import JointDynamics
 from bayesid.signals.filters import LowPass

@@ -15,7 +15,7 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment, load_experiment
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel, has_readings
-from bayesid.results.telling import DistinguishingMotion
+from bayesid.results.excitation import DistinguishingMotion
 from bayesid.simulation.simulation import simulate
 from bayesid.simulation.trajectories import fourier_trajectory
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress

@@ -13,7 +13,7 @@ from bayesid.estimators.conic.consistent_links import consistent_links
 from bayesid.estimators.nonlinear import solve
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
-from bayesid.results.urdf_links import UrdfLinks, joint_dynamics
+from bayesid.results.fitted_model import UrdfLinks, joint_dynamics
 from bayesid.robot.typical import states_masses, typical_links
 
 _ROTORS = "rotor_inertia"

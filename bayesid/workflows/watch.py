@@ -19,7 +19,7 @@ from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem, prepare
-from bayesid.results.watch import Watch, Watched
+from bayesid.results.changes import Watch, Watched
 from bayesid.tasks import cluster, map_tasks
 from bayesid.validation.prediction import Prediction, predict_elsewhere
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress

@@ -20,7 +20,7 @@ from present import figure, fill, plain, tables
 import bayesid
 from bayesid.estimators.conic.physical import Physical
 from bayesid.results.comparison import Entry
-from bayesid.results.urdf_links import impossible_bodies
+from bayesid.results.fitted_model import impossible_bodies
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot
 

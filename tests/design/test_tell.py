@@ -22,7 +22,7 @@ from bayesid.dynamics.channels import torque_channels
 from bayesid.effects import MotionSegment, readings
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor
-from bayesid.results.telling import DistinguishingMotion, telling_sentence
+from bayesid.results.excitation import DistinguishingMotion, telling_sentence
 from bayesid.robot.robot import motion_limits
 from bayesid.simulation.simulation import Recorder, simulate, write_simulation
 from bayesid.simulation.trajectories import fourier_trajectory, read_trajectory

@@ -17,7 +17,7 @@ from bayesid.diagnosis.validation import residual_spectra
 from bayesid.effects import EffectLibrary, Term
 from bayesid.recordings.schema import read_model
 from bayesid.report import diagnosis as report
-from bayesid.report.diagnosis_views import diagnosis_views
+from bayesid.report.diagnosis_figures import diagnosis_views
 from bayesid.results import diagnosis
 from bayesid.robot.examples import PAPER_LOCKED
 from bayesid.rounding import percent

@@ -18,7 +18,7 @@ from bayesid import fourier_trajectory, load_bounds, write_experiment, write_tra
 from bayesid.cli import main
 from bayesid.effects import EffectLibrary
 from bayesid.recordings import schema
-from bayesid.results.export.mjcf import mjcf
+from bayesid.results.export.simulators import mjcf
 from bayesid.robot.examples import PAPER_LOCKED
 from bayesid.robot.urdf import JointDynamics
 from bayesid.validation.prediction import TOLERATED

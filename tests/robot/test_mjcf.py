@@ -14,7 +14,7 @@ import bayesid
 from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.recordings.robot_section import with_stated_effects
-from bayesid.results.export.mjcf import mjcf
+from bayesid.results.export.simulators import mjcf
 from bayesid.robot.mjcf import read_mjcf
 from bayesid.robot.robot import load_robot
 from bayesid.robot.urdf import JointDynamics

@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 import bayesid
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.experiment import Motion as Recorded
-from bayesid.results.urdf_links import LARGEST_GROWTH
+from bayesid.results.fitted_model import LARGEST_GROWTH
 from bayesid.robot.inertia import is_physically_consistent
 from bayesid.robot.robot import load_robot
 from bayesid.robot.urdf import write_urdf

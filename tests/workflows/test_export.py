@@ -27,8 +27,7 @@ from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.effects import EffectLibrary, JointMotion
 from bayesid.effects.segment import direction
 from bayesid.results.export.inverse_dynamics import LAWS, JointLaw, cpp_header, inverse_dynamics, numpy_module
-from bayesid.results.export.mjcf import mjcf
-from bayesid.results.export.sdf import sdf
+from bayesid.results.export.simulators import mjcf, sdf
 from bayesid.robot.examples import PAPER_LOCKED
 from bayesid.robot.robot import load_robot
 from bayesid.robot.urdf import JointDynamics

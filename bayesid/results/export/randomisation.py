@@ -9,7 +9,7 @@ import numpy as np
 from bayesid.arguments import argument, call
 from bayesid.errors import InputError
 from bayesid.results.export.identified import IdentifiedRobot
-from bayesid.results.export.plain import ARMATURE
+from bayesid.results.export.simulators import ARMATURE
 from bayesid.robot import inertia
 from bayesid.robot.urdf import link_names
 
