@@ -34,7 +34,7 @@ def arm(folder: Path, name: str = "panda", seed: int = 0) -> Arm:
     robot = load_robot(write(folder, ROBOTS[name]()))
     table = recording(robot, None, fourier(robot, seed, duration=20.0), torque_std=0.1, seed=seed)
     problem = prepare(experiment(robot, [Motion("a", "identification", table)]), FitOptions("torque"))
-    rows = np.concatenate([b.matrix.reshape(-1, b.matrix.shape[2]) for b in problem.regression.blocks()])
+    rows = np.concatenate([b.matrix.reshape(-1, b.matrix.shape[2]) for b in problem.regression.rows.blocks()])
     return Arm(robot, problem, rows, np.linalg.qr(rows, mode="r"))
 
 

@@ -14,10 +14,11 @@ from bayesid.estimators.conic.bounds import Bounds, load_bounds
 from bayesid.estimators.conic.physical import Physical
 from bayesid.estimators.errors_in_variables import TotalLeastSquares
 from bayesid.estimators.estimator import CustomDetails, Details, Estimate, Estimator
+from bayesid.estimators.factor import pilot_of
 from bayesid.estimators.instrumental_variables import InstrumentalVariables
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from bayesid.estimators.robust.m_estimators import Huber, Student
-from bayesid.estimators.weights import learn_weights, pilot_of
+from bayesid.estimators.weights import learn_weights
 from bayesid.regression.regression import Regression
 from bayesid.robot.prior import Prior
 
@@ -116,7 +117,7 @@ def _stated_noise_doubted(regression: Regression, estimate: Estimate) -> str:
     """What to say where residuals contradict the noise that was stated; empty where they do not, or none was."""
     if regression.noise_std is None:
         return ""
-    efficient = pilot_of(regression).whitened(learn_weights(regression).noise)
+    efficient = pilot_of(regression.rows).whitened(learn_weights(regression).noise)
     degrees = max(efficient.rows - len(estimate.solution), 1)
     # Of the efficient fit, whose residuals are the smallest; but not of outliers that this estimator leaves out.
     square = min(efficient.least_squares, degrees * estimate.residual_rms**2)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from bayesid.estimators.conic.links import compressed
 from bayesid.estimators.conic.physical import PhysicalDetails, evidence_of
+from bayesid.estimators.covariance import covariance_middle
 from bayesid.estimators.estimator import Estimate
-from bayesid.estimators.least_squares import covariance_middle, likelihood_weights, weighted_factor
+from bayesid.estimators.least_squares import likelihood_weights, weighted_factor
 from bayesid.estimators.prior_check import Evidence, PriorCheck, compared
 from bayesid.estimators.weights import learn_weights
 from bayesid.regression.linalg import undetermined

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.estimators.encoder_errors import SPECTRA, covariance_of_sums, sensor_alone
+from bayesid.estimators.covariance import SPECTRA, covariance_of_sums, sensor_alone
 from bayesid.estimators.estimator import OPTIONAL, Details, Estimate, strongest
 from bayesid.estimators.factor import Factor, gram_rows, reduce_whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal, weighted_factor
@@ -135,13 +135,13 @@ class TotalLeastSquares:
         solution = start.solution + start.root @ step
         draws = [(Pair(b, b) for b in law.simulated(k)) for k in range(count)]
         noise, extra = split_noise(regression, start, solution, law, draws)
-        ordinary = meat = start.spread(noise, regression.blocks()) + extra
+        ordinary = meat = start.spread(noise, regression.rows.blocks()) + extra
         if start.weights.widened:
-            meat = start.spread(start.weights.dispersed(noise), regression.blocks()) + start.weights.dispersion * extra
+            meat = start.spread(start.weights.dispersed(noise), regression.rows.blocks()) + start.weights.dispersion * extra
         if not start.weights.complete:
             # What the model lacks has the colour of the motion, as encoder errors have, and looks like them: noise as
             # `wls` takes it is then a lower bound in every direction.
-            meat = at_least(meat, start.spread(start.weights.dispersed(), regression.blocks()))
+            meat = at_least(meat, start.spread(start.weights.dispersed(), regression.rows.blocks()))
         if count > 1:
             # The equations' right side at the solution differs from draw to draw; its mean by that over their number.
             left = np.array([s - (np.eye(p) - d) @ -step for d, s in drawn])
@@ -223,7 +223,7 @@ def split_noise(
 
 def noise_of_fit(regression: Regression, start: Start, solution: np.ndarray) -> dict[str, NoiseModel]:
     """Noise of each group of rows from the residuals of a fit other than least squares."""
-    blocks = regression.pilot()
+    blocks = regression.rows.pilot()
     return noise_of_residuals(regression, blocks, solution, reduce_whitened(blocks, start.weights.noise))
 
 

@@ -208,6 +208,11 @@ class Pilot:
             return factor_rows(f @ self.root for f in flat)
 
 
+def pilot_of(rows: RowCache) -> Pilot:
+    """The pilot of some rows in coordinates of their own, found once."""
+    return rows.derived("pilot", lambda: Pilot.of(rows.pilot()))
+
+
 def regressor_times(block: Block, matrix: np.ndarray) -> np.ndarray:
     """``block.matrix @ matrix`` (k, channels, any) of a matrix (p, any)."""
     return on_columns(block.rows, np.vstack([matrix, np.zeros((1, matrix.shape[1]))]))  # the target times zero: nothing is copied
@@ -232,12 +237,12 @@ def reduce_scaled(rows: RowCache, scale: Mapping[str, np.ndarray]) -> Factor:
     return rows.total(factor_of(lambda block: block.rows * scale[block.group][:, None]), stacked)
 
 
-def reduce_in_coordinates(root: np.ndarray | None, rows: RowCache, scale: Mapping[str, np.ndarray]) -> Factor:
-    """The same factor as `reduce_scaled` finds, in half its time, where a pilot's coordinates are known [Yamamoto2015]_.
+def reduce_in_coordinates(rows: RowCache, scale: Mapping[str, np.ndarray]) -> Factor:
+    """The same factor as `reduce_scaled` finds, in half its time, where the pilot has coordinates [Yamamoto2015]_.
 
-    All rows are nearly orthonormal in the coordinates of ``root``, the `Pilot.root` of some of them, or None; they are read
-    twice where they turn out to be far from it.
+    All rows are nearly orthonormal in these; they are read twice where they turn out to be far from it.
     """
+    root = pilot_of(rows).root
     if root is not None:
         inverse = solve_triangular(root, np.eye(len(root)))
         if rows.parts:  # which are read for all weights at once
@@ -291,9 +296,14 @@ def _together(first: dict[str, _Gram], second: dict[str, _Gram]) -> dict[str, _G
     return out
 
 
-def channel_grams(root: np.ndarray | None, rows: RowCache) -> np.ndarray:
-    """Gram matrix of each channel's regressor and target over all rows (c, p + 1, p + 1)."""
-    if root is not None and rows.parts:
-        grams = _channels(solve_triangular(root, np.eye(len(root))), rows)
-        return root.T @ np.sum([each.gram for each in grams.values()], axis=0) @ root
-    return rows.total(lambda block: np.einsum("tcp,tcq->cpq", block.rows, block.rows, optimize=True), np.add)
+def channel_grams(rows: RowCache) -> np.ndarray:
+    """Gram matrix of each channel's regressor and target over all rows (c, p + 1, p + 1), made once."""
+
+    def made() -> np.ndarray:
+        root = pilot_of(rows).root
+        if root is not None and rows.parts:
+            grams = _channels(solve_triangular(root, np.eye(len(root))), rows)
+            return root.T @ np.sum([each.gram for each in grams.values()], axis=0) @ root
+        return rows.total(lambda block: np.einsum("tcp,tcq->cpq", block.rows, block.rows, optimize=True), np.add)
+
+    return rows.derived("channel_grams", made)

@@ -3,10 +3,10 @@
 All minimise ``||W (y - X b)||`` for rows y = X b + e with cov e = Sigma:
 
 * ``ols``: W = 1. Covariance from the noise as it is, ``(X'X)^-1 X' Sigma X (X'X)^-1``: the sandwich, which
-  allows for the colour that filters give, and for encoder errors where they matter (`bayesid.estimators.encoder_errors`).
+  allows for the colour that filters give, and for encoder errors where they matter (`bayesid.estimators.covariance`).
 * ``wls``: W = 1 / the standard deviation of each channel. The same sandwich.
 * ``gls``: W'W = Sigma^-1, the efficient one; the sandwich with what whitening leaves of the noise's colour
-  (`bayesid.estimators.innovation_spectrum`), ``(X' Sigma^-1 X)^-1`` where the noise is stated. It gives most weight to what has
+  (the same module), ``(X' Sigma^-1 X)^-1`` where the noise is stated. It gives most weight to what has
   little noise, so where the model lacks something it is biased: then W is that of ``wls``, the estimate is that of ``wls``
   to the last digit, and it says so.
 * ``ridge``, ``tsvd``: biased towards the nominal model, or zero without one; no interval would hold for them.
@@ -15,18 +15,16 @@ All minimise ``||W (y - X b)||`` for rows y = X b + e with cov e = Sigma:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.optimize import fminbound
 
 from bayesid.errors import InputError
-from bayesid.estimators.dispersion import Dispersion
-from bayesid.estimators.encoder_errors import may_matter, sandwich_middle, with_encoder_errors
+from bayesid.estimators.covariance import covariance_middle
 from bayesid.estimators.estimator import Details, Estimate, largest_autocorrelation
 from bayesid.estimators.factor import Factor, reduce_in_coordinates, reduce_whitened, whitened
-from bayesid.estimators.innovation_spectrum import whitened_middle
-from bayesid.estimators.weights import Weights, learn_weights, pilot_of
+from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.blocks import residual_of
 from bayesid.regression.linalg import (
     UNSEEN,
@@ -177,11 +175,10 @@ def weighted_factor(regression: Regression, weights: Weights, kind: str) -> tupl
     if kind not in _WEIGHTS:
         raise InputError(f"weights '{kind}': choose one of {', '.join(_WEIGHTS)}")
     if kind == "noise":
-        return reduce_whitened(regression.blocks(), weights.noise), None
+        return reduce_whitened(regression.rows.blocks(), weights.noise), None
     channels = len(regression.channel_names)
     scale = {g: (1.0 / m.std if kind == "channel" else np.ones(channels)) for g, m in weights.noise.items()}
-    root = pilot_of(regression).root
-    return reduce_in_coordinates(root, regression.rows, scale), scale
+    return reduce_in_coordinates(regression.rows, scale), scale
 
 
 def nominal_start(regression: Regression, p: int) -> np.ndarray:
@@ -195,47 +192,6 @@ def nominal_start(regression: Regression, p: int) -> np.ndarray:
 def target_from_nominal(regression: Regression, factor: Factor) -> np.ndarray:
     """Rotated target (p,) relative to the nominal parameters, of which `nominal_start` is the other part."""
     return factor.target - factor.matrix @ nominal_start(regression, factor.matrix.shape[1])
-
-
-class Middle(NamedTuple):
-    """Covariance of the weighted equations' right side."""
-
-    matrix: np.ndarray | None  # (p, p); None where it is the equations' matrix
-    dispersion: float  # factor in it for the scatter between parts of the recording beyond what noise alone makes
-
-
-def covariance_middle(regression: Regression, weights: Weights, scale: dict[str, np.ndarray] | None, factor: Factor) -> Middle:
-    """Covariance of the weighted equations' right side.
-
-    ``scale`` is what each channel (c,) of a group of rows was weighted with; None: rows were whitened.
-    """
-    if scale is not None and not may_matter(regression, weights):
-        return Middle(sandwich_middle(regression, weights.dispersed(), scale), weights.dispersion)
-    if scale is None and weights.by_noise:  # encoder errors are in the noise that rows were whitened with
-        wider = weights.efficient.factor
-        return Middle(wider * factor.matrix.T @ factor.matrix, wider)
-    exact = scale is None and regression.noise_std is not None  # whitened with noise that is known
-    if exact:
-        middle = factor.matrix.T @ factor.matrix
-    else:
-        middle = whitened_middle(regression, weights) if scale is None else sandwich_middle(regression, weights.noise, scale)
-    inverse = pseudo_inverse(factor.matrix, UNSEEN)
-    corrected = with_encoder_errors(regression, weights, scale, inverse, middle)
-    if exact:
-        return Middle(corrected, 1.0)
-    # A complete model's dispersion is the same for all channels.
-    wider = weights.dispersion if scale is not None else _scattered(inverse, factor, middle, weights.efficient)
-    return Middle(wider * (middle if corrected is None else corrected), wider)
-
-
-def _scattered(inverse: np.ndarray, factor: Factor, middle: np.ndarray, efficient: Dispersion) -> float:
-    """By what an efficient fit scatters between parts more than the spectrum of its whitened rows says; one at least.
-
-    The dispersion is relative to rows R that are white, ``trace(R^-T R'R R^-1)``, the spectrum's M likewise: what both see
-    counts once.
-    """
-    spread = float(np.vdot(inverse, middle @ inverse)) / float(np.sum((factor.matrix @ inverse) ** 2) or 1.0)
-    return max(efficient.found / spread, 1.0) if spread > 0.0 else 1.0
 
 
 def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> tuple[np.ndarray, float]:
@@ -302,7 +258,7 @@ def make_estimate(
     ``factor`` is of the rows as they were weighted; base and effect parameters (p,) have a covariance (p, p), or None, and are
     ``hidden`` where the rows say nothing about them (p,).
     """
-    white = [residual_of(rows, solution) for _, rows in whitened(regression.pilot(), weights.noise)]
+    white = [residual_of(rows, solution) for _, rows in whitened(regression.rows.pilot(), weights.noise)]
     count = sum(w.size for w in white)
     rms = float(np.sqrt(sum(np.sum(w**2) for w in white) / max(count - len(solution), 1)))
     weak = np.zeros(len(solution), bool)

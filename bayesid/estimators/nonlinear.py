@@ -49,7 +49,7 @@ def solve(
     An `InputError` where readings are not finite at the start of the effects.
     """
     if rows_made is not None:
-        problem.regression.pilot()  # of rows that fit in memory, all are made for it
+        problem.regression.rows.pilot()  # of rows that fit in memory, all are made for it
         rows_made()
     if problem.row_model.point is None:
         return problem, fit(problem.regression, method)
@@ -92,7 +92,7 @@ def _left(problem: Problem, held: slice) -> float:
     at[held] = True
     at = np.concatenate([np.zeros(len(point.base), bool), at[point.free]])
     solution, scale = np.concatenate([point.base, point.values[point.free]]), np.ones(len(problem.row_model.channels))
-    blocks = problem.regression.pilot()
+    blocks = problem.regression.rows.pilot()
     if not all(np.isfinite(b.rows).all() for b in blocks):
         return np.inf
     pilot = Pilot.of(blocks)
@@ -117,7 +117,7 @@ def _surroundings(problem: Problem) -> Surroundings:
 
 
 def _minimised(problem: Problem, method: str | Estimator) -> Fitted:
-    if not all(np.isfinite(block.rows).all() for block in problem.regression.blocks()):
+    if not all(np.isfinite(block.rows).all() for block in problem.regression.rows.blocks()):
         specs = ", ".join(e.spec for e in problem.row_model.effects)
         raise InputError(f"readings are not finite where {specs} start; state other values in [model.values]")
     now = Fitted(problem, method)
@@ -233,7 +233,7 @@ def _cost(problem: Problem, point: Point, estimate: Estimate) -> float:
     """Mean square of the rows' residual at the point, in units of the noise."""
     solution = np.concatenate([point.base, point.values[point.free]])
     power, count = 0.0, 0
-    for block in problem.regression.blocks():
+    for block in problem.regression.rows.blocks():
         noise = estimate.noise.get(block.group) or next(iter(estimate.noise.values()))
         power += float(np.sum(((block.target - block.matrix @ solution) / noise.std) ** 2))
         count += block.target.size

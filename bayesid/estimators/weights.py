@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from bayesid.estimators.dispersion import Dispersion, Rows, dispersions, widening
-from bayesid.estimators.factor import Factor, Pilot, regressor_times, whitened
+from bayesid.estimators.factor import Factor, Pilot, pilot_of, regressor_times, whitened
 from bayesid.estimators.sensor_noise import sensor_noise
 from bayesid.regression.blocks import Block, RegressorNoise
 from bayesid.regression.hypothesis_tests import hausman
@@ -95,7 +95,7 @@ def learn_weights(regression: Regression) -> Weights:
 
 
 def _learned(regression: Regression) -> Weights:
-    pilot = pilot_of(regression)
+    pilot = pilot_of(regression.rows)
     blocks = pilot.blocks
     scale = np.ones(blocks[0].rows.shape[1])
     plain = np.zeros(0)
@@ -169,16 +169,11 @@ def _with_rung_errors(regression: Regression, law: RegressorNoise, pilot: Pilot,
     return Weights(noise, 1.0, not found.beyond_chance(SMALLEST_PARTS), values, found, found, by_noise=True)
 
 
-def pilot_of(regression: Regression) -> Pilot:
-    """The pilot rows of a regression in coordinates of their own, found once."""
-    return regression.rows.derived("pilot", lambda: Pilot.of(regression.pilot()))
-
-
 def stated_noise(regression: Regression) -> dict[str, NoiseModel] | None:
     """Noise of each group of rows where it is known beforehand, else None."""
     if regression.noise_std is None:
         return None
-    groups = dict.fromkeys(block.group for block in regression.pilot())
+    groups = dict.fromkeys(block.group for block in regression.rows.pilot())
     poles = regression.rows.known_poles
     return {g: NoiseModel.stated(regression.noise_std, poles if g == "trajectory" else None) for g in groups}
 

@@ -10,8 +10,8 @@ say about (beta, s) is in the factors R_c of [X_c y_c] and their numbers of rows
     log p(y | beta, s) = -sum_c [ n_c log s_c + |R_c (beta; -1)|^2 / (2 s_c^2) ] + constant.
 
 Whitened rows are linearly transformed about their least-squares fit b so that the curvature of the likelihood is the inverse of
-its sandwich covariance V [Ribatet2012]_, which holds the colour that whitening leaves
-(`bayesid.estimators.innovation_spectrum`) and encoder errors where they matter (`bayesid.estimators.encoder_errors`):
+its sandwich covariance V [Ribatet2012]_, which holds the colour that whitening leaves and encoder errors where they matter
+(`bayesid.estimators.covariance`):
 
     y + X (C - 1) b = X C beta + s u,   C' (X'X) C = V^-1.
 
@@ -37,8 +37,8 @@ import numpy as np
 from scipy.special import digamma, gammaln
 
 from bayesid.estimators.conic.links import compressed
+from bayesid.estimators.covariance import covariance_middle
 from bayesid.estimators.factor import Factor, reduce_scaled, reduce_whitened, stack, whitened
-from bayesid.estimators.least_squares import covariance_middle
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.linalg import pseudo_inverse, solve
 from bayesid.regression.regression import Regression
@@ -151,7 +151,7 @@ class Likelihood:
         factors: dict[str, list[np.ndarray]] = {}
         counts: dict[str, int] = {}
         rows: dict[str, list[np.ndarray]] = {}
-        for block, plain in whitened(regression.blocks(), noise):
+        for block, plain in whitened(regression.rows.blocks(), noise):
             white = plain @ adjust
             own = factors.setdefault(block.group, [np.zeros((columns, columns))] * channels)
             for a in range(0, len(white), _PANEL):
@@ -182,7 +182,7 @@ class Likelihood:
 
 def _white(regression: Regression, group: str, solution: np.ndarray) -> NoiseModel:
     """White noise with the power of a fit's residuals."""
-    residual = np.concatenate([b.target - b.matrix @ solution for b in regression.pilot() if b.group == group])
+    residual = np.concatenate([b.target - b.matrix @ solution for b in regression.rows.pilot() if b.group == group])
     power = np.mean(residual**2, axis=0)
     return NoiseModel(np.ones((len(power), 1)), np.diag(np.maximum(power, 1e-20 * max(float(power.max()), 1e-200))))
 
@@ -218,7 +218,7 @@ def _weighted(
     squares, and by as much more as the curvature is smaller.
     """
     if weights.complete:
-        return weights.noise, None, reduce_whitened(regression.blocks(), weights.noise)
+        return weights.noise, None, reduce_whitened(regression.rows.blocks(), weights.noise)
     noise = {g: NoiseModel(np.ones((len(m.std), 1)), np.diag(m.std**2)) for g, m in weights.noise.items()}
     solution = weights.solution
     for _ in range(passes):

@@ -114,16 +114,6 @@ class Regression:
         covariance = Prior.nominal(self.knowledge.nominal_links, 2.0**0.5).covariance
         return np.sqrt(np.einsum("ij,jk,ik->i", self.base.matrix, covariance, self.base.matrix))
 
-    # ---- rows ---------------------------------------------------------------------------------------------------
-
-    def blocks(self) -> Iterator[Block]:
-        """Read all blocks, recording by recording, in time order."""
-        return iter(self.rows.blocks())
-
-    def pilot(self) -> Sequence[Block]:
-        """Enough blocks to learn the noise from: all of an ordinary recording, segments of a long one."""
-        return self.rows.pilot()
-
     @classmethod
     def from_arrays(
         cls,

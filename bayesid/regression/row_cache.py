@@ -58,7 +58,7 @@ class MotionRows:
     """Blocks of rows by motion, kept as far as there is room: for motions that are ``fitted``, and as much for others."""
 
     def __init__(self, row_model: RowModel, segments: Mapping[str, Sequence[Segment | LongSegment]], fitted: Sequence[str] = ()):
-        self.row_model, self.segments, self._fitted = row_model, segments, fitted
+        self.row_model, self.segments = row_model, segments
         self._blocks: dict[str, Callable[[], Iterable[Block]]] = {}
         room = {own: CACHE_BYTES for own in (True, False)}
         for name in segments:
@@ -67,10 +67,6 @@ class MotionRows:
             room[own] -= size if keep else 0
             make = partial(make_blocks, row_model, segments[name], kept=keep)
             self._blocks[name] = Kept(make) if keep else make
-
-    def __reduce__(self):
-        """A copy makes its rows anew."""
-        return MotionRows, (self.row_model, self.segments, self._fitted)
 
     def blocks(self, motions: Iterable[str]) -> Iterator[Block]:
         """Read the rows of motions, one after the other, in time order."""
@@ -106,7 +102,7 @@ def row_width(row_model: RowModel) -> int:
 class RowCache:
     """Rows of a regression, with what depends on them alone, which is made once; several threads may read at once."""
 
-    blocks: Callable[[], Iterable[Block]]  # reads all blocks, recording by recording, in time order
+    blocks: Callable[[], Iterator[Block]]  # reads all blocks, recording by recording, in time order
     count: int  # number of rows in all blocks
     width: int  # numbers in a row: channels times (parameters + 1)
     #: Makes blocks of a few segments alone, where there are many more rows than `PILOT_ROWS`; None: picked from all blocks.

@@ -340,7 +340,7 @@ def _blocks(problem: Problem, motions: Sequence[str]) -> Iterable[Block]:
     if row_model.filters is not None or 8 * count * width > CACHE_BYTES:
         return make_blocks(replace(row_model, filters=None), list(_pieces(row_model, segments)))
     fitted = tuple(motions) == problem.fitted
-    moving = (b for b in (problem.regression.pilot() if fitted else problem.rows.blocks(motions)) if b.group != "poses")
+    moving = (b for b in (problem.regression.rows.pilot() if fitted else problem.rows.blocks(motions)) if b.group != "poses")
     return moving if fitted else few_of(moving, count)
 
 

@@ -95,7 +95,7 @@ def compare(
             problem = prepare(experiment, options)
             problem = settled(problem)
             regression = problem.regression
-        regression.pilot()  # makes the rows, whose time is given apart
+        regression.rows.pilot()  # makes the rows, whose time is given apart
         seconds["regressor"] = time.perf_counter() - started
         progress("noise")
         weights = learn_weights(regression)

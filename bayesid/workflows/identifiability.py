@@ -250,7 +250,7 @@ def _of_regression(regression: Regression, clock: Clock) -> Identifiability:
     clock("noise")
     weights = learn_weights(regression)
     clock("rows")
-    factors = expected_factors(regression.blocks, weights.dispersed())
+    factors = expected_factors(regression.rows.blocks, weights.dispersed())
     expected = Expected(regression.base, regression.effect_names, regression.effect_units, *factors)
     found = shown(expected)
     sizes = np.abs(found.base.matrix @ np.linalg.pinv(regression.base.matrix) @ weights.solution[: regression.base.rank])
@@ -258,7 +258,7 @@ def _of_regression(regression: Regression, clock: Clock) -> Identifiability:
     report = set_report(rows, expected, found, None, None, None, sizes)
     source = "given" if regression.noise_std is not None else "readings"
     std = next(iter(weights.noise.values())).std.tolist()
-    fitted = dict.fromkeys(regression.motion_names[b.motion] for b in regression.pilot())
+    fitted = dict.fromkeys(regression.motion_names[b.motion] for b in regression.rows.pilot())
     report = replace(report, noise={"rows": source}, noise_std=dict(zip(regression.channel_names, std, strict=True)))
     return Identifiability(
         name="regression", source="regression", motions=dict.fromkeys(fitted, 0.0), still=(),

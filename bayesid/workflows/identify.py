@@ -13,10 +13,10 @@ from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import structural_base, unseen
 from bayesid.estimators import Estimate, Estimator, estimator
 from bayesid.estimators.against_prior import against_nominal
-from bayesid.estimators.conic.consistent_links import channel_grams
+from bayesid.estimators.factor import channel_grams, pilot_of
 from bayesid.estimators.nonlinear import default_method, solve
 from bayesid.estimators.prior_check import PriorCheck
-from bayesid.estimators.weights import learn_weights, pilot_of
+from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.linalg import undetermined
@@ -162,7 +162,7 @@ def _beside(problem: Problem, method: Estimator, unseen: list[str]) -> tuple[Alo
         encoders.present()
     floor, flexible = noise_floor(problem), FlexibleModel.of(problem, unseen)
     if problem.regression.rows.fits_in_memory:  # the links will
-        channel_grams(problem.regression)
+        channel_grams(problem.regression.rows)
     return alone, floor, flexible
 
 
@@ -191,7 +191,7 @@ def _lost_to_effects(problem: Problem, estimate: Estimate) -> dict[str, tuple[st
     lost = np.flatnonzero(estimate.undetermined[: base.rank])
     if not len(lost) or not regression.effect_names:
         return {}
-    matrix = pilot_of(regression).whitened(learn_weights(regression).noise).matrix
+    matrix = pilot_of(regression.rows).whitened(learn_weights(regression).noise).matrix
     specs = np.array([*[""] * base.rank, *(name.rpartition(".")[0] for name in regression.effect_names)])
     alone = undetermined(matrix[:, : base.rank])
     out: dict[str, tuple[str, ...]] = {}

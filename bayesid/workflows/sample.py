@@ -218,13 +218,13 @@ def _with_predictions(
 ) -> Posterior:
     posterior = Posterior(model, result, seed, prior_check=check)
     if problem is None:
-        extra = predictive_groups(posterior, regression.blocks(), regression.pilot(), (), regression.channel_names)
+        extra = predictive_groups(posterior, regression.rows.blocks(), regression.rows.pilot(), (), regression.channel_names)
         clock.stop()
         return Posterior(model, result, seed, extra, check)
     others = [m for m in problem.experiment.motions if m.name in problem.segments and m.name not in problem.fitted]
     judges = [m for m in others if m.role == "validation"]
     blocks = _blocks(problem, [m.name for m in judges])
-    extra = predictive_groups(posterior, regression.blocks(), regression.pilot(), blocks, regression.channel_names)
+    extra = predictive_groups(posterior, regression.rows.blocks(), regression.rows.pilot(), blocks, regression.channel_names)
     estimate = as_estimate(posterior)
     floor = noise_floor(problem)
     fitted = tuple(predict(problem, estimate, m, floor) for m in problem.experiment.motions if m.name in problem.fitted)

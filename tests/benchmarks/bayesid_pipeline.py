@@ -71,7 +71,7 @@ def _run(robot, times, q, wrench, torques, kind):
     start = time.perf_counter()
     problem = prepare(experiment, FitOptions(kind))
     prepared = time.perf_counter()
-    problem.regression.pilot()
+    problem.regression.rows.pilot()
     rows = time.perf_counter()
     estimate = fit(problem.regression)
     done = time.perf_counter()

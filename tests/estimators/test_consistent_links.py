@@ -54,9 +54,9 @@ def test_links_are_the_optimum_of_the_problem_as_a_person_would_write_it(tmp_pat
     regression = prepare(made, FitOptions("torque")).regression
     estimate = bayesid.fit(regression, "wls")
     found = consistent_links(regression, estimate, robot.nominal)
-    rows = np.concatenate([b.matrix for b in regression.blocks()])
-    power = np.sum(np.concatenate([b.target for b in regression.blocks()]) - rows @ estimate.solution, axis=0) * 0.0
-    for b in regression.blocks():
+    rows = np.concatenate([b.matrix for b in regression.rows.blocks()])
+    power = np.sum(np.concatenate([b.target for b in regression.rows.blocks()]) - rows @ estimate.solution, axis=0) * 0.0
+    for b in regression.rows.blocks():
         power += np.sum((b.target - b.matrix @ estimate.solution) ** 2, axis=0)
     weighted = (rows / np.sqrt(power * rows.shape[1] * LARGEST_LOSS)[:, None]).reshape(-1, rows.shape[2])
     scatter = np.linalg.qr(weighted, mode="r")
@@ -144,7 +144,7 @@ def test_estimates_without_covariance_are_held_by_their_predictions(tmp_path):
     regression, estimate = result.problem.regression, result.estimate
     ratios = []
     for solution in (estimate.solution, moved.solution):
-        ratios.append(sum(np.sum((b.target - b.matrix @ solution) ** 2, axis=0) for b in regression.blocks()))
+        ratios.append(sum(np.sum((b.target - b.matrix @ solution) ** 2, axis=0) for b in regression.rows.blocks()))
     assert np.mean(ratios[1] / ratios[0]) < 1.0 + 1.2 * LARGEST_LOSS
 
 

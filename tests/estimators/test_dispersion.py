@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import sqrtm
 
 import bayesid
+from bayesid.estimators.covariance import whitened_middle
 from bayesid.estimators.dispersion import PARTS, Dispersion, Rows, dispersions, widening
-from bayesid.estimators.innovation_spectrum import whitened_middle
 from bayesid.estimators.weights import learn_weights
 from bayesid.posterior.likelihood import Likelihood
 from bayesid.regression.regression import Regression
@@ -88,7 +88,7 @@ def test_a_channel_that_wanders_alone_widens_what_it_shows_alone():
     for k in range(25):
         rng = np.random.default_rng(200 + k)
         parts = [regression(rng, p=4, channels=1, wander=w)[0] for w in (0.15, 0.0)]
-        (one,), (other,) = (list(part.blocks()) for part in parts)
+        (one,), (other,) = (list(part.rows.blocks()) for part in parts)
         matrix = np.zeros((len(one.rows), 2, 8))
         matrix[:, 0, :4], matrix[:, 1, 4:] = one.matrix[:, 0], other.matrix[:, 0]
         data = Regression.from_arrays(matrix, np.concatenate([one.target, other.target], axis=1))
@@ -133,12 +133,12 @@ def test_the_dispersion_that_is_said_is_that_of_the_covariance(method):
     estimate = bayesid.fit(data, method)
     weights = learn_weights(data)
     assert estimate.details.model_complete and estimate.details.dispersion >= 1.0
-    x = np.concatenate([b.matrix for b in data.blocks()])
+    x = np.concatenate([b.matrix for b in data.rows.blocks()])
     if method == "wls":
         x = (x / weights.noise["trajectory"].std[:, None]).reshape(-1, x.shape[2])
         alone = np.linalg.inv(x.T @ x)  # the noise is white
     else:
-        rows = np.concatenate([weights.noise["trajectory"].whiten(b.matrix) for b in data.blocks()]).reshape(-1, x.shape[2])
+        rows = np.concatenate([weights.noise["trajectory"].whiten(b.matrix) for b in data.rows.blocks()]).reshape(-1, x.shape[2])
         bread = np.linalg.inv(rows.T @ rows)
         alone = bread @ whitened_middle(data, weights) @ bread
     np.testing.assert_allclose(np.diag(estimate.covariance) / np.diag(alone), estimate.details.dispersion, rtol=0.02)

@@ -34,7 +34,7 @@ def test_rows_that_alone_show_a_parameter_are_not_rejected(tmp_path, method):
     plain, robust = (bayesid.fit(regression, m) for m in ("wls", method))
 
     def error(estimate):
-        power = sum(np.sum((b.target - b.matrix @ estimate.solution) ** 2) for b in regression.blocks())
+        power = sum(np.sum((b.target - b.matrix @ estimate.solution) ** 2) for b in regression.rows.blocks())
         return np.sqrt(power)
 
     assert error(robust) < 1.5 * error(plain)

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm, t
 
 from bayesid.estimators import fit
-from bayesid.estimators.encoder_errors import sandwich_middle, with_encoder_errors
+from bayesid.estimators.covariance import sandwich_middle, with_encoder_errors
 from bayesid.estimators.least_squares import weighted_factor
 from bayesid.estimators.weights import learn_weights
 from bayesid.posterior.likelihood import Likelihood

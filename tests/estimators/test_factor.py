@@ -55,22 +55,22 @@ def test_sums_of_squares_are_those_of_the_rows():
     np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
-def cached(blocks, chunked=False):
-    """Blocks as the rows of a regression, of a recording that is in memory or read in chunks."""
+def cached(blocks, pilot, chunked=False):
+    """Blocks and some of them as the rows of a regression, of a recording that is in memory or read in chunks."""
     parts = tuple(partial(list, [block]) for block in blocks) if chunked else None
-    return RowCache(lambda: blocks, sum(len(b.rows) for b in blocks), blocks[0].rows[0].size, parts=parts)
+    size = sum(len(b.rows) for b in blocks)
+    return RowCache(lambda: iter(blocks), size, blocks[0].rows[0].size, parts=parts, given_pilot=tuple(pilot))
 
 
 @pytest.mark.parametrize("chunked", [False, True])
 def test_rows_reduced_in_a_pilots_coordinates_have_the_factor_of_an_orthogonal_decomposition(chunked):
     blocks, scale = made([1.0, 10.0, 1e3]), np.array([3.0, 0.2])
     expected = reduce_rows(blocks, lambda b: b.rows / scale[:, None])
-    root = Pilot.of(blocks[:1]).root
-    found = reduce_in_coordinates(root, cached(blocks, chunked), {"trajectory": 1.0 / scale})
+    found = reduce_in_coordinates(cached(blocks, blocks[:1], chunked), {"trajectory": 1.0 / scale})
     assert found.rows == expected.rows
     np.testing.assert_allclose(np.abs(found.r), np.abs(expected.r), rtol=1e-9, atol=1e-12 * np.abs(expected.r).max())
     by_channel = [sum(b.rows[:, c].T @ b.rows[:, c] for b in blocks) for c in range(2)]
-    grams = channel_grams(root, cached(blocks, chunked))
+    grams = channel_grams(cached(blocks, blocks[:1], chunked))
     np.testing.assert_allclose(grams, by_channel, rtol=1e-9, atol=1e-10 * np.max(by_channel))
 
 
@@ -78,10 +78,9 @@ def test_coordinates_of_a_pilot_unlike_the_other_rows_are_not_used():
     """In the pilot's coordinates the other rows' third column is a millionth: its square would have lost half of its digits."""
     blocks = made([1.0, 10.0, 1e3])
     pilot = [Block(b.rows * [1.0, 1.0, 1e6, 1.0], b.times, 0, b.start) for b in blocks]
-    root = Pilot.of(pilot).root
-    assert root is not None
+    assert Pilot.of(pilot).root is not None
     hidden = [Block(b.rows * [1.0, 0.0, 1.0, 1.0], b.times, 0, b.start) for b in blocks]
     for rows in (blocks, hidden):
         expected = reduce_rows(rows, lambda b: b.rows)
-        found = reduce_in_coordinates(root, cached(rows), {"trajectory": np.ones(2)})
+        found = reduce_in_coordinates(cached(rows, pilot), {"trajectory": np.ones(2)})
         np.testing.assert_array_equal(found.r, expected.r)

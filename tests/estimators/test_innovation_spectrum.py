@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bayesid.estimators import fit
+from bayesid.estimators.covariance import LEAST, innovation_spectra, whitened_middle
 from bayesid.estimators.factor import whitened
-from bayesid.estimators.innovation_spectrum import LEAST, innovation_spectra, whitened_middle
 from bayesid.estimators.weights import learn_weights
 from bayesid.regression.regression import Regression
 
@@ -37,7 +37,7 @@ def test_it_is_the_sum_written_out(regression):
     """Octaves of a cosine transform by its definition, one coefficient after the other."""
     weights = learn_weights(regression)
     spectrum = innovation_spectra(regression, weights)["trajectory"]
-    ((_, white),) = list(whitened(regression.blocks(), weights.noise))
+    ((_, white),) = list(whitened(regression.rows.blocks(), weights.noise))
     n, k = len(white), np.arange(len(white))
     cosines = np.sqrt(2.0 / n) * np.cos(np.pi * np.outer(k, k + 0.5) / n)
     cosines[0] /= np.sqrt(2.0)
@@ -62,7 +62,7 @@ def test_intervals_hold_what_repeats_scatter_by():
         estimate = fit(regression, "gls")
         values.append(estimate.values)
         stated.append(estimate.std)
-        white = np.concatenate([w for _, w in whitened(regression.blocks(), learn_weights(regression).noise)])
+        white = np.concatenate([w for _, w in whitened(regression.rows.blocks(), learn_weights(regression).noise)])
         flat = white[:, :, :-1].reshape(-1, SHAPES)
         plain.append(np.sqrt(np.diag(np.linalg.inv(flat.T @ flat))))
     scatter = np.std(values, axis=0, ddof=1)

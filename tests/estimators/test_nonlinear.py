@@ -120,7 +120,7 @@ def test_every_effect_can_be_simulated_and_modelled(setup, motions, name):
     solution = problem.row_model.point.base
     assert problem.regression.effect_names == ()
     error, signal = 0.0, 0.0
-    for block in problem.regression.blocks():
+    for block in problem.regression.rows.blocks():
         error = max(error, float(np.sqrt(np.mean((block.target - block.matrix @ solution) ** 2, axis=0)).max()))
         signal = max(signal, float(np.sqrt(np.mean(block.target**2, axis=0)).max()))
     # As teeth cross their play the motor makes a step that is faster than positions are smoothed to: docs/reference/effects.md.

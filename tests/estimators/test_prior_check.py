@@ -46,7 +46,7 @@ def test_the_distance_is_what_the_prior_adds_to_the_smallest_misfit(off):
     truth = drawn(prior, rng) * np.repeat([off, 1.0], 10)
     regression, matrix = rows(truth, rng, std)
     x = matrix.reshape(-1, 20)
-    y = np.concatenate([b.target for b in regression.blocks()]).ravel() / std
+    y = np.concatenate([b.target for b in regression.rows.blocks()]).ravel() / std
     root = np.linalg.cholesky(prior.precision).T
     both = np.linalg.lstsq(np.vstack([x, root]), np.concatenate([y, root @ prior.mean]), rcond=None)
     alone = y - x @ np.linalg.lstsq(x, y, rcond=1e-10)[0]
@@ -168,7 +168,7 @@ def test_a_prior_is_widened_by_what_makes_the_data_most_probable():
     x = matrix.reshape(-1, 20)
     u, s, vt = np.linalg.svd(x, full_matrices=False)
     keep = s > 1e-10 * s[0]
-    y = u[:, keep].T @ (np.concatenate([b.target for b in regression.blocks()]).ravel() / 0.05 - x @ prior.mean)
+    y = u[:, keep].T @ (np.concatenate([b.target for b in regression.rows.blocks()]).ravel() / 0.05 - x @ prior.mean)
     spread = (s[keep, None] * vt[keep]) @ prior.covariance @ (s[keep, None] * vt[keep]).T
     factors = np.linspace(1.0, 12.0, 1101)
     found = [multivariate_normal(cov=np.eye(len(y)) + k**2 * spread).logpdf(y) for k in factors]

@@ -95,7 +95,7 @@ def test_filters_of_a_recording_in_chunks_are_undone_across_them(method):
     pole = 0.9
     slow = [lfilter([1.0 - pole], [1.0, -pole], x, axis=0) for x in (matrix, touched(target))]
     whole = Regression.from_arrays(*slow, times=times, low_pass=LowPass(l=-np.log(pole) / 0.05, d=1e5))
-    [block] = whole.blocks()
+    [block] = whole.rows.blocks()
     halves = [replace(block, rows=block.rows[a:b], times=block.times[a:b], start=a == 0) for a, b in ((0, 300), (300, 600))]
     rows = replace(whole.rows, blocks=lambda: halves, parts=[lambda h=h: [h] for h in halves])
     parted = replace(whole, rows=rows)

@@ -41,7 +41,7 @@ def test_log_likelihood_is_that_of_every_row(noise):
     data = regression(1)
     model = PosteriorModel.of(data, noise=noise)
     weights = learn_weights(data)
-    ((_, white),) = whitened(data.blocks(), weights.noise)
+    ((_, white),) = whitened(data.rows.blocks(), weights.noise)
     # About the fit b, where rows are known as well as its covariance says; without that they would be `white`.
     white = white @ model.likelihood.adjust
     flat = white.reshape(-1, 5)
@@ -86,7 +86,7 @@ def test_posterior_of_an_incomplete_model_is_a_student_t_about_the_fit(incomplet
 def test_terms_of_an_incomplete_model_add_up_to_its_likelihood(incomplete):
     """As many instants together as scatter together, so that leaving one out counts the parameters, not the rows."""
     posterior = bayesid.sample(incomplete, draws=1600, noise="gaussian")
-    terms = log_likelihood_terms(posterior, incomplete.blocks()).astype(float)
+    terms = log_likelihood_terms(posterior, incomplete.rows.blocks()).astype(float)
     whole = posterior.model.log_likelihood(*posterior.model.split(posterior.chains.draws))
     summed = terms.sum(axis=2)
     assert_allclose(summed - summed.mean(), whole - whole.mean(), atol=0.05)

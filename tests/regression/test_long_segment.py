@@ -57,7 +57,7 @@ def load(folder: Path, flag: str, table: str = "long.parquet") -> Experiment:
 
 def blocks_of(experiment: Experiment, options: FitOptions):
     """All blocks of its regression."""
-    return list(prepare(experiment, options).regression.blocks())
+    return list(prepare(experiment, options).regression.rows.blocks())
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,8 @@ def test_rows_of_a_motion_are_made_once(tmp_path, monkeypatch):
     calls = []
     monkeypatch.setattr(row_cache, "make_blocks", lambda *given, **named: calls.append(1) or make_blocks(*given, **named))
     problem = made(tmp_path)
-    both = list(problem.regression.blocks())
-    alone = list(restrict(problem, ["b"]).regression.blocks())
+    both = list(problem.regression.rows.blocks())
+    alone = list(restrict(problem, ["b"]).regression.rows.blocks())
     assert len(calls) == 2 and alone[-1] is both[-1]
     fresh = list(make_blocks(problem.row_model, problem.segments["b"]))
     for one, other in zip(alone, fresh, strict=True):

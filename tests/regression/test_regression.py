@@ -71,11 +71,11 @@ def test_rows_do_not_depend_on_chunks(tmp_path, monkeypatch):
     one = noise_free(robot)
     for filters in (None, LowPass(1.0, 50.0)):
         monkeypatch.setattr(rows_module, "_CHUNK", 1 << 20)
-        whole = list(prepare(one, FitOptions(low_pass=filters)).regression.blocks())
+        whole = list(prepare(one, FitOptions(low_pass=filters)).regression.rows.blocks())
         monkeypatch.setattr(rows_module, "_CHUNK", 333)
         monkeypatch.setattr(rows_module, "_PANEL", 100)
         monkeypatch.setattr(rows_module, "_BLOCK_ROWS", 50)
-        parts = list(prepare(one, FitOptions(low_pass=filters)).regression.blocks())
+        parts = list(prepare(one, FitOptions(low_pass=filters)).regression.rows.blocks())
         assert len(parts) > 5 and [b.start for b in parts] == [True] + [False] * (len(parts) - 1)
         np.testing.assert_allclose(np.concatenate([b.times for b in parts]), whole[0].times, rtol=1e-12)
         joined = np.concatenate([b.rows for b in parts])
@@ -91,7 +91,7 @@ def test_gaps_are_not_filtered_across(tmp_path):
     holed = experiment(robot, [Motion("a", "identification", recording(robot, SENSOR, cut))], SENSOR)
     for filters in (None, LowPass(1.0, 50.0)):
         problem = prepare(holed, FitOptions(low_pass=filters))
-        blocks = list(problem.regression.blocks())
+        blocks = list(problem.regression.rows.blocks())
         assert [b.start for b in blocks] == [True, True]
         truth = problem.row_model.base.matrix @ robot.nominal.ravel()
         np.testing.assert_allclose(fit(problem.regression, "ols").values, truth, atol=2e-3)
@@ -155,7 +155,7 @@ def test_a_recording_too_long_to_keep_gives_the_same_estimate(filters, tmp_path,
     streamed_problem = prepare(one, FitOptions(low_pass=filters))
     streamed = fit(streamed_problem.regression)
     assert not streamed_problem.regression.rows.fits_in_memory
-    assert next(streamed_problem.regression.blocks()) is not next(streamed_problem.regression.blocks())
+    assert next(streamed_problem.regression.rows.blocks()) is not next(streamed_problem.regression.rows.blocks())
     # Both weigh the channels by a noise learned from parts, which differ a little in their ends.
     assert np.abs((streamed.values - kept.values) / kept.std).max() < 0.2
     np.testing.assert_allclose(streamed.std, kept.std, rtol=0.1)

@@ -81,8 +81,8 @@ def said(result):
     """What a result says, as numbers and words in lists and dictionaries."""
     if isinstance(result, bayesid.Regression):
         law, instruments = result.regressor_noise, result.instruments
-        rows = [b.rows for b in (*result.blocks(), *law.perturbed(1, 1.0))] + [p.instruments.rows for p in instruments.pairs()]
-        return rows
+        read = [*result.rows.blocks(), *law.perturbed(1, 1.0), *(p.instruments for p in instruments.pairs())]
+        return [b.rows for b in read]
     if isinstance(result, bayesid.Experiment):
         return [said(m.table) for m in result.motions], result.robot.nominal, result.effects
     if isinstance(result, bayesid.Table):

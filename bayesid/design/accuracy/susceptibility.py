@@ -117,7 +117,7 @@ def _with_leftover(regression: Regression, solution: np.ndarray, noise: dict[str
     """Noise of each group of rows, its channels as large as noise and what a fit leaves of exact rows together."""
     power = {group: np.zeros(len(regression.channel_names)) for group in noise}
     count = dict.fromkeys(noise, 0)
-    for block in regression.blocks():
+    for block in regression.rows.blocks():
         power[block.group] += np.sum(block.residual(solution) ** 2, axis=0)
         count[block.group] += len(block.rows)
     out = {}

@@ -20,7 +20,7 @@ from bayesid.design.bounds.region import Region, region_of_draws, region_of_norm
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.effects import Effect
 from bayesid.errors import InputError
-from bayesid.estimators.conic.consistent_links import channel_grams
+from bayesid.estimators.factor import channel_grams
 from bayesid.posterior.likelihood import Likelihood, ScalePrior
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.reflective_gibbs import ReflectiveGibbs
@@ -186,7 +186,7 @@ class Known:
 
 def open_directions(problem: Problem) -> np.ndarray:
     """Changes of base and effect parameters that no fitted row shows, such as from a link's inertia to its rotor's (p, m)."""
-    gram = channel_grams(problem.regression)
+    gram = channel_grams(problem.regression.rows)
     power = or_one(gram[:, -1, -1], 0.0)
     whole = np.sum(gram[:, :-1, :-1] / power[:, None, None], axis=0)
     length = or_one(np.sqrt(np.diag(whole)))

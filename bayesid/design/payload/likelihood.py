@@ -84,7 +84,7 @@ class HeldCombination:
         absorbed = absorbed_offset(model.base, links)
         there = replace(point, links=links.reshape(-1, 10), base=at[:rank], values=values, absorbed=absorbed)
         left, slopes = [], []
-        for block in relinearised(self.problem, there).regression.blocks():
+        for block in relinearised(self.problem, there).regression.rows.blocks():
             std = (self.estimate.noise.get(block.group) or next(iter(self.estimate.noise.values()))).std
             left.append((-block.residual(at) / std).ravel())
             slopes.append((block.matrix / std[:, None]).reshape(-1, len(at)))

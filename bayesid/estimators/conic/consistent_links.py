@@ -23,11 +23,10 @@ from scipy.linalg import eigh
 from scipy.stats import chi2
 
 from bayesid.errors import EstimationError
-from bayesid.estimators import factor
 from bayesid.estimators.conic.links import LinkData, LinkPrior, conic, misfit, nominal_prior
 from bayesid.estimators.conic.problem import solve_conic
 from bayesid.estimators.estimator import LEVEL, Estimate
-from bayesid.estimators.weights import pilot_of
+from bayesid.estimators.factor import channel_grams
 from bayesid.regression.linalg import or_one, standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
@@ -148,14 +147,9 @@ def _inverse_root(regression: Regression, estimate: Estimate) -> tuple[np.ndarra
     return kept, (vectors / np.sqrt(np.maximum(values, _SMALLEST * max(values[-1], 1.0)))).T / std
 
 
-def channel_grams(regression: Regression) -> np.ndarray:
-    """Gram matrix of each channel's regressor and target over all rows (c, p + 1, p + 1), made once for all estimates."""
-    return regression.rows.derived("channel_grams", lambda: factor.channel_grams(pilot_of(regression).root, regression.rows))
-
-
 def _prediction_root(regression: Regression, estimate: Estimate) -> np.ndarray:
     """W with ``||W (x - x_hat)||^2`` the power of the change of predictions relative to the residuals', mean over channels."""
-    grams, left = channel_grams(regression), np.append(-estimate.solution, 1.0)
+    grams, left = channel_grams(regression.rows), np.append(-estimate.solution, 1.0)
     # The sum of squares of the residuals; the floor is above the rounding of this product.
     power = np.maximum(left @ (grams @ left).T, 1e-12 * grams[:, -1, -1])
     used = power > 0

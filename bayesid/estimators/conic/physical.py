@@ -27,8 +27,9 @@ from bayesid.estimators.conic.bounds import Bounds
 from bayesid.estimators.conic.entropic import solve_entropic
 from bayesid.estimators.conic.links import LinkData, LinkPrior, closest_within, compressed, conic, link_prior, misfit
 from bayesid.estimators.conic.problem import Conic, Infeasible, Linear, Solution, Unsolved, solve_conic
+from bayesid.estimators.covariance import covariance_middle
 from bayesid.estimators.estimator import OPTIONAL, Details, Estimate
-from bayesid.estimators.least_squares import completeness, covariance_middle, likelihood_weights, make_estimate, weighted_factor
+from bayesid.estimators.least_squares import completeness, likelihood_weights, make_estimate, weighted_factor
 from bayesid.estimators.prior_check import Evidence
 from bayesid.estimators.weights import learn_weights
 from bayesid.regression.linalg import UNSEEN, determined_inverse, pseudo_inverse, undetermined

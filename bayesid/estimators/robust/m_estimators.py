@@ -26,7 +26,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from bayesid.errors import InputError
-from bayesid.estimators.encoder_errors import encoder_growth
+from bayesid.estimators.covariance import encoder_growth
 from bayesid.estimators.estimator import Details, Estimate
 from bayesid.estimators.factor import Factor, gram_rows, reduce_rows, whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal
@@ -153,11 +153,11 @@ class RobustFit:
         """Learn the noise from a pilot, reject, iterate."""
         plain = _without_filters(regression)
         values, clean, learned, loss = _learn(plain, loss)
-        residual = residuals(plain.blocks(), values)
+        residual = residuals(plain.rows.blocks(), values)
         metric = metrics(residual, learned.noise)
-        loss, accepted_rows, note = _judge(plain.blocks, residual, learned.noise, loss)
+        loss, accepted_rows, note = _judge(plain.rows.blocks, residual, learned.noise, loss)
         # The rank is that of all rows: weights that leave little of a direction must not hide it.
-        whole = _factor(plain.blocks(), learned.noise)
+        whole = _factor(plain.rows.blocks(), learned.noise)
         directions = Directions.of(whole.matrix)
         correction = overdispersion_correction(residual, metric)
         begin = nominal_start(regression, len(values))
@@ -170,18 +170,18 @@ class RobustFit:
             share = np.zeros(len(q))
             share[used] = loss.weights(q[used] / variance, n[used])
             weights = np.where(accepted_rows, share[residual.segment], 0.0)
-            factor = _factor(weighted(plain.blocks(), residual, np.sqrt(weights)), learned.noise)
+            factor = _factor(weighted(plain.rows.blocks(), residual, np.sqrt(weights)), learned.noise)
             last, values = values, directions.solve(factor, target_from_nominal(regression, factor)) + begin
-            residual = residuals(plain.blocks(), values)
+            residual = residuals(plain.rows.blocks(), values)
             if passes == _PASSES or np.linalg.norm(factor.matrix @ (values - last)) <= _TOLERANCE:
                 break
         factor = Factor(factor.r, int(accepted_rows.sum()) * residual.values.shape[1])
         ordinary = directions.solve(whole, target_from_nominal(regression, whole)) + begin
         every = np.ones(len(accepted_rows), bool)
         fits = []
-        for own in (residual, residuals(plain.blocks(), ordinary)):
+        for own in (residual, residuals(plain.rows.blocks(), ordinary)):
             q_all, n_all = lengths(own, metric, every, correction)
-            fits.append(ResidualSizes.of(own, q_all, n_all, plain.blocks()))
+            fits.append(ResidualSizes.of(own, q_all, n_all, plain.rows.blocks()))
         share, direction = directions.least(factor)
         divergence = reasons(regression, share, direction, float(np.sqrt(variance)), fits[0], fits[1], values, ordinary)
         return cls(
@@ -200,7 +200,7 @@ class RobustFit:
         noise = self.learned.dispersed(self._score_noise() if self.learned.complete else None)
         scale = {g: 1.0 / m.std for g, m in self.learned.noise.items()}
         middle = gram_rows(
-            weighted(self.plain.blocks(), self.residual, self.accepted_rows.astype(float)),
+            weighted(self.plain.rows.blocks(), self.residual, self.accepted_rows.astype(float)),
             lambda b: noise[b.group].colour_transposed(b.matrix * scale[b.group][:, None] ** 2),
         )
         inverse = pseudo_inverse(self.factor.matrix, UNSEEN)
@@ -227,7 +227,7 @@ class RobustFit:
         if not change.any():
             return 1.0
         total, sizes = 0.0, np.cumsum((0, *residual.sizes))
-        for block, a, b in zip(self.plain.blocks(), sizes[:-1], sizes[1:], strict=True):
+        for block, a, b in zip(self.plain.rows.blocks(), sizes[:-1], sizes[1:], strict=True):
             segment, keep = residual.segment[a:b] - residual.segment[a], self.accepted_rows[a:b]
             r = residual.values[a:b] * keep[:, None]
             pulls = np.stack([r / self.learned.noise[block.group].std ** 2, r @ metric[block.group].precision], axis=2)
@@ -241,7 +241,7 @@ class RobustFit:
 
     def _score_noise(self) -> dict[str, NoiseModel]:
         """Noise of ``w y``, learned from weighted rows as that of y is from rows."""
-        pilot = self.clean.pilot()
+        pilot = self.clean.rows.pilot()
         residual = residuals(pilot, self.solution)
         metric = metrics(residual, self.learned.noise)
         q, n = lengths(residual, metric, np.ones(len(residual.values), bool), overdispersion_correction(residual, metric))
@@ -326,7 +326,7 @@ def _with_filters(regression: Regression, noise: dict[str, NoiseModel]) -> dict[
 
 def _learn(plain: Regression, loss: Loss) -> tuple[np.ndarray, Regression, Weights, Loss]:
     """A fit to accepted rows of the pilot, the pilot of these rows, and their noise."""
-    pilot = plain.pilot()
+    pilot = plain.rows.pilot()
     values, noise = trimmed(pilot)
     before, clean, learned = np.zeros(0, bool), plain, None
     for _ in range(_ROUNDS):
@@ -340,7 +340,7 @@ def _learn(plain: Regression, loss: Loss) -> tuple[np.ndarray, Regression, Weigh
             clean = replace(plain, rows=plain.rows.with_pilot(_pieces(pilot, residual, accepted_rows)))
         learned = learn_weights(clean)
         noise = learned.noise
-        factor = _factor(clean.pilot(), noise)
+        factor = _factor(clean.rows.pilot(), noise)
         values = solve(factor.matrix, factor.target)
     assert learned is not None
     return values, clean, learned, loss
