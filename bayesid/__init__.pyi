@@ -10,9 +10,8 @@ from .estimators.estimator import CustomDetails, Estimate, Estimator
 from .estimators.instrumental_variables import InstrumentalVariables
 from .estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from .estimators.robust.m_estimators import Huber, Student
-from .posterior.diagnostics import ConvergenceError
 from .posterior.result import Posterior
-from .posterior.run import Sampler
+from .posterior.run import ConvergenceError, Sampler
 from .recordings.experiment import Experiment, Motion, Sensor, load_experiment
 from .recordings.table import Table
 from .recordings.writer import write_experiment

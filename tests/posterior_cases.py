@@ -87,3 +87,15 @@ def rejection(model: PosteriorModel, count: int, seed: int = 0) -> np.ndarray:
         links = draws[:, : model.link_count].reshape(len(draws), -1, 10)
         out.append(draws[np.all(np.linalg.eigvalsh(inertia.pseudo_inertia(links))[..., 0] > 0, axis=1)])
     return np.concatenate(out)[:count]
+
+
+def interrupted_in(round: int):
+    """What a run tells its progress to, and is interrupted by in one of its rounds, as by a user."""
+    told = []
+
+    def tell(text: str) -> None:
+        told.append(text)
+        if len(told) == round:
+            raise KeyboardInterrupt
+
+    return tell

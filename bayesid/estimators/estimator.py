@@ -191,24 +191,14 @@ class Estimate(HasParameters):
         return self.full_std[: self.base.rank]
 
     @property
-    def full_low(self) -> np.ndarray:
-        """Lower ends of the central 95 % intervals of ``solution`` (p,), cut off where nothing is possible."""
-        return central_interval(self.solution, self.full_std, possible=self.possible)[0]
-
-    @property
-    def full_high(self) -> np.ndarray:
-        """Upper ends of the central 95 % intervals of ``solution`` (p,), cut off where nothing is possible."""
-        return central_interval(self.solution, self.full_std, possible=self.possible)[1]
-
-    @property
     def low(self) -> np.ndarray:
-        """Lower ends of the intervals of the base parameters (r,)."""
-        return self.full_low[: self.base.rank]
+        """Lower ends of the central 95 % intervals of the base parameters (r,), cut off where nothing is possible."""
+        return self.parameters().low[: self.base.rank]
 
     @property
     def high(self) -> np.ndarray:
-        """Upper ends of the intervals of the base parameters (r,)."""
-        return self.full_high[: self.base.rank]
+        """Upper ends of these intervals (r,)."""
+        return self.parameters().high[: self.base.rank]
 
     @property
     def classes(self) -> tuple[str, ...]:

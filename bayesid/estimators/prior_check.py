@@ -12,7 +12,7 @@ the prior is widened by the factor k >= 1 that makes the data most probable [Goo
 
     k = argmax  log N(d; 0, V + k^2 K C K').
 
-Every verb and estimator asks `compared`, so that a conflict has one size; `bayesid.estimators.against_prior` brings the data.
+Every verb and estimator asks `compared`, so that a conflict has one size; `bayesid.estimators.conic.physical` brings the data.
 """
 
 from __future__ import annotations

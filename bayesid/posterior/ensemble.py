@@ -40,18 +40,10 @@ class EnsembleState:
 
 
 class LaplaceMove(Move):
-    """Proposals from a fixed Gaussian, for all walkers at once.
+    """Proposals from a fixed Gaussian for all walkers at once: its mean (d,) and the lower L with precision ``L L'`` (d, d)."""
 
-    Parameters
-    ----------
-    mean
-        (d,).
-    precision_root
-        Lower L with precision ``L L'`` (d, d).
-    """
-
-    def __init__(self, mean: np.ndarray, precision_root: np.ndarray):
-        self.mean, self.lower = mean, precision_root
+    def __init__(self, mean: np.ndarray, lower: np.ndarray):
+        self.mean, self.lower = mean, lower
 
     def propose(self, model: Any, state: Any) -> tuple[Any, np.ndarray]:
         """One Metropolis-Hastings step of every walker."""

@@ -4,9 +4,16 @@ Unknowns: link parameters phi (with a prior) or base parameters b (flat), effect
 channel s_c (one of the whole estimate where the model is incomplete), and with Student's t its degrees of freedom nu. Base
 parameters are ``b = K phi`` throughout.
 
-For samplers of one's own there are unconstrained coordinates theta, in this order: for every body its log-Cholesky parameters
-(`bayesid.posterior.coordinates`; with a flat prior the base parameters instead), effect parameters, logarithms of those that
-cannot be negative, logarithms of the scales, and that of Student's degrees of freedom.
+Each body's pseudo-inertia P is measured by the nominal one, ``M = N P N'`` with ``N P0 N' = 1`` (P0 is solid, see
+`bayesid.robot.inertia.solid`), and the sampler's coordinates are the ten entries of M. For samplers of one's own there are
+unconstrained coordinates theta, in this order: for every body its log-Cholesky parameters (with a flat prior the base parameters
+instead), effect parameters, logarithms of those that cannot be negative, logarithms of the scales, and that of Student's degrees
+of freedom. The log-Cholesky parameters are
+
+    M = U U',   U upper triangular,   theta = (log u_kk, u_ij),
+
+which covers exactly the bodies that can exist [Rucker2022]_; ``log |dM / dtheta| = 4 log 2 + sum_k (k + 1) log u_kk``,
+k = 1 ... 4, since column k of U has k entries.
 """
 
 from __future__ import annotations
@@ -21,14 +28,19 @@ from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.estimators.dispersion import PARTS
-from bayesid.posterior import coordinates
 from bayesid.posterior.likelihood import NOISES, DofPrior, Likelihood, ScalePrior, student_log_likelihood, student_slopes
-from bayesid.posterior.trajectory import travel
+from bayesid.posterior.trajectory import COLUMN, ROW, travel
 from bayesid.regression.linalg import undetermined
 from bayesid.regression.regression import Regression
+from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
 
 _FACTORISE, _SOLVE_FACTORISED = get_lapack_funcs(("potrf", "potrs"), dtype="d")
+#: Positions of theta in U: four logarithms of the diagonal, then the entries above it by rows.
+_DIAGONAL = np.arange(4)
+_ABOVE = (np.array([0, 0, 0, 1, 1, 2]), np.array([1, 2, 3, 2, 3, 3]))
+_POWERS = np.array([2.0, 3.0, 4.0, 5.0])
+LOG_CHOLESKY = ("log_u11", "log_u22", "log_u33", "log_u44", "u12", "u13", "u14", "u23", "u24", "u34")
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,23 +138,17 @@ class PosteriorModel:
     def require_proper(self) -> None:
         """Refuse a posterior that is flat in some direction for ever, with an `InputError` that names the parameters."""
         stacked = np.concatenate([f[:, :-1] for f in self.likelihood.factors])
-        r = self.base.rank
-        known = np.zeros((0, stacked.shape[1]))
-        if np.isfinite(self.effect_std).any():
-            at = np.flatnonzero(np.isfinite(self.effect_std))
-            known = np.zeros((len(at), stacked.shape[1]))
-            known[np.arange(len(at)), r + at] = 1.0 / self.effect_std[at]
         if self.prior is not None:
-            # What any prior leaves to the data: effects, after the best combination of base parameters.
             size = np.maximum(np.sqrt(np.diag(self.prior.precision)), 1e-300)
             values = np.linalg.eigvalsh(self.prior.precision / np.outer(size, size))
             if values[0] <= 1e-12 * values[-1]:
                 raise InputError("prior: its precision is singular; give every link parameter a limit")
-            stacked = stacked[:, r:]
-            known = known[:, r:]
+            # What any prior leaves to the data: effects, after the best combination of base parameters.
+            stacked = stacked[:, self.base.rank :]
         names = (self.base.labels if self.prior is None else ()) + self.effect_names
         hidden = np.zeros(0, bool)
         if names:
+            known = self.prior_factor[self.link_count :, self.link_count : -1]  # of the effects
             hidden = undetermined(np.concatenate([np.asarray(np.linalg.qr(stacked, mode="r")), known]))
         if hidden.any():
             shown = [names[k] for k in np.flatnonzero(hidden)[:_SHOWN]]
@@ -224,15 +230,13 @@ class PosteriorModel:
     @cached_property
     def quadratic(self) -> Quadratic:
         """Every term of the density as a quadratic form in well-conditioned coordinates."""
-        matrices = [f[:, :-1] @ self.to_columns for f in self.likelihood.factors]
-        targets = [f[:, -1] for f in self.likelihood.factors]
-        prior = self.prior_factor
-        whole = np.concatenate([np.column_stack([m, t]) for m, t in zip(matrices, targets, strict=True)] + [prior])
+        terms = [(f[:, :-1] @ self.to_columns, f[:, -1]) for f in self.likelihood.factors]
+        terms.append((self.prior_factor[:, :-1], self.prior_factor[:, -1]))
+        whole = np.concatenate([np.column_stack(term) for term in terms])
         d = self.to_columns.shape[1]
         r = np.asarray(np.linalg.qr(whole, mode="r"))
         centre = solve_triangular(r[:d, :d], r[:d, d])
         root = solve_triangular(r[:d, :d], np.eye(d))
-        terms = [*zip(matrices, targets, strict=True), (prior[:, :-1], prior[:, -1])]
         slopes = [m @ root for m, _ in terms]
         rests = [t - m @ centre for m, t in terms]
         return Quadratic(
@@ -286,7 +290,7 @@ class PosteriorModel:
             order = [k for body in self.prior.bodies for k in body]
             out[: self.link_count] = 0.0
             for k, body in enumerate(self.prior.bodies):
-                out[10 * k : 10 * k + 10, list(body)] = coordinates.entries_map(self.prior.mean[list(body)])
+                out[10 * k : 10 * k + 10, list(body)] = entries_map(self.prior.mean[list(body)])
             rest = np.setdiff1d(np.arange(self.link_count), order)
             out[len(order) + np.arange(len(rest)), rest] = 1.0
         return out
@@ -314,7 +318,7 @@ class PosteriorModel:
         x = linear @ self.entries.T
         ok = np.all(x[..., self.bounded] >= 0, axis=-1)
         if self.bodies:
-            ok &= np.all(np.linalg.eigvalsh(coordinates.matrices(self._by_body(x)))[..., 0] >= 0, axis=-1)
+            ok &= np.all(np.linalg.eigvalsh(matrices(self._by_body(x)))[..., 0] >= 0, axis=-1)
         return ok
 
     def interior(self, rng: np.random.Generator) -> np.ndarray:
@@ -325,9 +329,9 @@ class PosteriorModel:
         q = self.quadratic
         x = self.entries @ (q.centre + q.root @ rng.normal(size=len(q.centre)))
         for k in range(self.bodies):
-            unit = coordinates.matrices(np.zeros(10)) + np.eye(4)
+            unit = matrices(np.zeros(10)) + np.eye(4)
             noise = 0.2 * rng.normal(size=(4, 4))
-            x[10 * k : 10 * k + 10] = (unit + np.clip(0.5 * (noise + noise.T), -0.2, 0.2))[coordinates.ROW, coordinates.COLUMN]
+            x[10 * k : 10 * k + 10] = (unit + np.clip(0.5 * (noise + noise.T), -0.2, 0.2))[ROW, COLUMN]
         x[self.bounded] = np.maximum(x[self.bounded], 0.1 * np.abs(x[self.bounded]) + 1e-6)
         return x
 
@@ -359,7 +363,7 @@ class PosteriorModel:
         linear = [f"log {n}" if k in self.bounded else n for k, n in enumerate(self.linear_names)]
         if self.bodies:
             bodies = [self.linear_names[10 * k].rpartition(".")[0] for k in range(self.bodies)]
-            linear[: 10 * self.bodies] = [f"{b}.{n}" for b in bodies for n in coordinates.NAMES]
+            linear[: 10 * self.bodies] = [f"{b}.{n}" for b in bodies for n in LOG_CHOLESKY]
         return (*linear, *(f"log scale {n}" for n in self.scale_names), *(("log nu",) if self.dof_free else ()))
 
     def log_density(self, theta: np.ndarray) -> np.ndarray:
@@ -374,7 +378,7 @@ class PosteriorModel:
         d, k, shape = len(self.linear_names), len(self.scale_names), theta.shape[:-1]
         x, jacobian = theta[..., :d].copy(), np.zeros(shape)
         if self.bodies:
-            entries, logs = coordinates.from_log_cholesky(self._by_body(theta))
+            entries, logs = from_log_cholesky(self._by_body(theta))
             x[..., : 10 * self.bodies] = entries.reshape(*shape, -1)
             jacobian = jacobian + logs.sum(axis=-1) + np.linalg.slogdet(self.from_entries)[1]
         x[..., self.bounded] = np.exp(theta[..., self.bounded])
@@ -395,7 +399,7 @@ class PosteriorModel:
         out = np.empty_like(theta)
         out[..., :d] = in_x = by_linear @ self.from_entries
         if self.bodies:
-            bodies = coordinates.pull_back(self._by_body(theta), self._by_body(in_x))
+            bodies = pull_back(self._by_body(theta), self._by_body(in_x))
             out[..., : 10 * self.bodies] = bodies.reshape(*theta.shape[:-1], -1)
         out[..., self.bounded] = in_x[..., self.bounded] * np.exp(theta[..., self.bounded]) + 1.0
         if k:
@@ -425,7 +429,7 @@ class PosteriorModel:
         linear, scales, dof = self.split(draws)
         x = linear @ self.entries.T
         if self.bodies:
-            x[..., : 10 * self.bodies] = coordinates.to_log_cholesky(self._by_body(x)).reshape(*x.shape[:-1], -1)
+            x[..., : 10 * self.bodies] = to_log_cholesky(self._by_body(x)).reshape(*x.shape[:-1], -1)
         x[..., self.bounded] = np.log(x[..., self.bounded])
         parts = [x] + ([np.log(scales)] if self.scale_names else []) + ([np.log(dof)[..., None]] if self.dof_free else [])
         return np.concatenate(parts, axis=-1)
@@ -433,3 +437,62 @@ class PosteriorModel:
     def _by_body(self, x: np.ndarray) -> np.ndarray:
         """Ten coordinates of each body (..., b, 10) of points (..., at least 10 b)."""
         return x[..., : 10 * self.bodies].reshape(*x.shape[:-1], self.bodies, 10)
+
+
+def normaliser(body: np.ndarray) -> np.ndarray:
+    """N (4, 4) with ``N P0 N' = 1`` for the solid neighbour P0 of a nominal body (10,).
+
+    N serves numbers near one only: it changes no density.
+    """
+    return np.linalg.inv(np.linalg.cholesky(inertia.solid(body)))
+
+
+def entries_map(body: np.ndarray) -> np.ndarray:
+    """Matrix (10, 10) from a body's ten parameters to the entries of M."""
+    n = normaliser(body)
+    return (n @ inertia.BASIS @ n.T)[:, ROW, COLUMN].T
+
+
+def matrices(entries: np.ndarray) -> np.ndarray:
+    """Symmetric matrices (..., 4, 4) of their entries (..., 10)."""
+    out = np.empty((*entries.shape[:-1], 4, 4))
+    out[..., ROW, COLUMN] = entries
+    out[..., COLUMN, ROW] = entries
+    return out
+
+
+def triangular(theta: np.ndarray) -> np.ndarray:
+    """U (..., 4, 4) of log-Cholesky parameters (..., 10)."""
+    u = np.zeros((*theta.shape[:-1], 4, 4))
+    u[..., _DIAGONAL, _DIAGONAL] = np.exp(theta[..., :4])
+    u[(..., *_ABOVE)] = theta[..., 4:]
+    return u
+
+
+def from_log_cholesky(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Entries of M (..., 10) and the logarithm of the Jacobian ``|dM / dtheta|`` (...,)."""
+    u = triangular(theta)
+    m = u @ np.swapaxes(u, -1, -2)
+    return m[..., ROW, COLUMN], 4.0 * np.log(2.0) + theta[..., :4] @ _POWERS
+
+
+def to_log_cholesky(entries: np.ndarray) -> np.ndarray:
+    """The inverse (..., 10); a `numpy.linalg.LinAlgError` where a matrix is not positive definite."""
+    flipped = np.linalg.cholesky(matrices(entries)[..., ::-1, ::-1])
+    u = flipped[..., ::-1, ::-1]
+    return np.concatenate([np.log(u[..., _DIAGONAL, _DIAGONAL]), u[(..., *_ABOVE)]], axis=-1)
+
+
+def pull_back(theta: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Gradient in theta (..., 10) of a function whose gradient in the entries of M is given, Jacobian's included."""
+    u = triangular(theta)
+    g = np.zeros((*gradient.shape[:-1], 4, 4))
+    # An off-diagonal entry stands for two places of M.
+    half = np.where(ROW == COLUMN, 1.0, 0.5) * gradient
+    g[..., ROW, COLUMN] = half
+    g[..., COLUMN, ROW] = half
+    slope = 2.0 * g @ u
+    out = np.empty_like(theta)
+    out[..., :4] = slope[..., _DIAGONAL, _DIAGONAL] * u[..., _DIAGONAL, _DIAGONAL] + _POWERS
+    out[..., 4:] = slope[(..., *_ABOVE)]
+    return out

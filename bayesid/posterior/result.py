@@ -15,9 +15,8 @@ from bayesid.errors import InputError
 from bayesid.estimators.parameters import HasParameters, Parameters, tails
 from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.posterior.convert import Groups, to_arviz
-from bayesid.posterior.diagnostics import Convergence
 from bayesid.posterior.model import PosteriorModel
-from bayesid.posterior.run import Chains
+from bayesid.posterior.run import Chains, Convergence
 from bayesid.rounding import LEVEL
 from bayesid.section import as_html
 

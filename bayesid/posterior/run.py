@@ -1,21 +1,24 @@
-"""Run chains until they have converged, with checkpoints and a limit."""
+"""Run chains until they have converged, with checkpoints and a limit.
+
+Whether they have is told by R-hat over independent chains and effective sample sizes [Vehtari2021]_, from ArviZ.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 
 from bayesid.arguments import argument
-from bayesid.errors import InputError
+from bayesid.errors import EstimationError, InputError
 from bayesid.posterior.checkpoint import load_checkpoint, save_checkpoint
-from bayesid.posterior.diagnostics import Convergence, convergence
+from bayesid.posterior.convert import load_arviz
 from bayesid.posterior.ensemble import Ensemble
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.reflective_gibbs import ReflectiveGibbs
@@ -26,8 +29,11 @@ _ROUNDS = 10
 #: Draws a chain to be asked for at least, and draws in all that convergence is judged by at least.
 _FEWEST, _JUDGED = 50, 1600
 
-
-S = TypeVar("S")
+#: Rank-normalised split R-hat must be below, effective sample sizes of the bulk and the tails above.
+LARGEST_R_HAT = 1.01
+SMALLEST_ESS = 400.0
+#: What moves the chains: from a state, which holds everything that a chain needs to go on.
+Engine = ReflectiveGibbs | Ensemble
 
 
 @dataclass(frozen=True)
@@ -56,35 +62,40 @@ class Sampler:
     resume: bool = False
 
 
-class Engine(Protocol[S]):
-    """What moves the chains; a state S is a dataclass that holds everything a chain needs to go on."""
+class ConvergenceError(EstimationError):
+    """The chains did not converge; ``partial`` holds the posterior as far as it came."""
+
+    partial: Any = None
+
+
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """Diagnostics of every sampled number."""
+
+    names: tuple[str, ...]  # (d,)
+    #: (d,).
+    r_hat: np.ndarray
+    ess_bulk: np.ndarray
+    ess_tail: np.ndarray
 
     @property
-    def name(self) -> str:
-        """What results call it."""
-        ...
+    def passed(self) -> bool:
+        """Whether every number meets the limits."""
+        worst = self.r_hat.max(initial=1.0), self.ess.min(initial=np.inf)
+        return bool(worst[0] < LARGEST_R_HAT and worst[1] >= SMALLEST_ESS)
 
     @property
-    def walkers(self) -> int:
-        """Points that a chain consists of."""
-        ...
+    def ess(self) -> np.ndarray:
+        """The smaller of both effective sizes (d,)."""
+        return np.minimum(self.ess_bulk, self.ess_tail)
 
-    @property
-    def thin(self) -> int:
-        """Steps from one draw to the next."""
-        ...
-
-    def start(self, rng: np.random.Generator) -> S:
-        """A first state, warmed up."""
-        ...
-
-    def restored(self, saved: Mapping[str, Any]) -> S:
-        """The state that was saved as its fields."""
-        ...
-
-    def advance(self, state: S, count: int, thin: int) -> np.ndarray:
-        """Draws (count, walkers, names), ``thin`` steps apart; the state moves on in place."""
-        ...
+    def complaint(self) -> str:
+        """What failed worst, in a line."""
+        worst, fewest = int(np.argmax(self.r_hat)), int(np.argmin(self.ess))
+        return (
+            f"largest R-hat {self.r_hat[worst]:.4g} ({self.names[worst]}, should be below {LARGEST_R_HAT}), smallest "
+            f"effective sample size {self.ess[fewest]:.3g} ({self.names[fewest]}, should be at least {SMALLEST_ESS:.0f})"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +112,7 @@ class Chains:
     diagnosis: Convergence
 
 
-def choose_engine(model: PosteriorModel, engine: str | None = None, moves: str = "laplace") -> Engine[Any]:
+def choose_engine(model: PosteriorModel, engine: str | None = None, moves: str = "laplace") -> Engine:
     """The engine of a name; default: exact trajectories where there are walls or Student's weights, else emcee.
 
     An `InputError` where no engine has this name, or it cannot sample this posterior.
@@ -117,7 +128,7 @@ def choose_engine(model: PosteriorModel, engine: str | None = None, moves: str =
 
 def run(
     model: PosteriorModel,
-    engine: Engine[Any],
+    engine: Engine,
     *,
     draws: int = 2000,
     chains: int = 4,
@@ -126,7 +137,6 @@ def run(
     checkpoint: Path | None = None,
     resume: bool = False,
     tell: Callable[[str], None] | None = None,
-    stop_after: int | None = None,
 ) -> Chains:
     """Sample until the chains agree.
 
@@ -134,31 +144,10 @@ def run(
     dropped and they run on at twice the distance, so that memory does not grow. Of few draws nothing can be said: then
     more are made, and those asked for picked evenly.
 
-    Parameters
-    ----------
-    model, engine
-        What is sampled and how.
-    draws, chains
-        Kept in all, and the number of independent chains they come from.
-    seed
-        Same seed, same draws; also if the run was interrupted and resumed.
-    longest
-        Stop when draws would have to be more than so many times the engine's own distance apart.
-    checkpoint
-        File that the run is saved in after every tenth; None: nowhere.
-    resume
-        Go on from the checkpoint, if there is one.
-    tell
-        Called with how far the run is, in words.
-    stop_after
-        Stop after so many rounds, as an interruption would; for tests.
-
-    Raises
-    ------
-    InputError
-        Numbers out of range, or a checkpoint of another run.
-    KeyboardInterrupt
-        Also by ``stop_after``; the checkpoint holds what was done.
+    ``draws`` are kept in all; the same seed gives the same ones, also if the run was interrupted and resumed. The run stops when
+    they would have to be more than ``longest`` times the engine's own distance apart. It is saved in the checkpoint after every
+    tenth and goes on from there to ``resume``; ``tell`` is called with how far it is, in words. An `InputError` where numbers
+    are out of range, or a checkpoint is of another run.
     """
     if chains < 2:
         raise InputError(f"{argument('chains', chains)}: at least 2 are needed to see whether they agree")
@@ -181,8 +170,6 @@ def run(
     size = max(-(-wanted // _ROUNDS), 1)
     while True:
         while kept.shape[1] < wanted:
-            if stop_after is not None and rounds >= stop_after:
-                raise KeyboardInterrupt
             count = min(size, wanted - kept.shape[1])
             advanced = list(map_tasks(partial(_advanced, engine, count, thin), states))
             states = [state for state, _ in advanced]
@@ -202,11 +189,24 @@ def run(
         kept, thin = kept[:, 1::2], 2 * thin
 
 
-def _started(engine: Engine[S], sequence: np.random.SeedSequence) -> S:
+def convergence(draws: np.ndarray, names: tuple[str, ...]) -> Convergence:
+    """Diagnose chains of draws (chains, draws, d)."""
+    az = load_arviz()
+    moving = np.ptp(draws, axis=(0, 1)) > 0
+    out = np.ones((3, len(names)))
+    out[1:] = draws.shape[0] * draws.shape[1]
+    for k in np.flatnonzero(moving).tolist():
+        one = np.ascontiguousarray(draws[:, :, k])
+        tail = az.ess(one, method="tail", prob=(0.05, 0.95))
+        out[:, k] = az.rhat(one, method="rank"), az.ess(one, method="bulk"), tail
+    return Convergence(names, *out)
+
+
+def _started(engine: Engine, sequence: np.random.SeedSequence) -> Any:
     return engine.start(np.random.Generator(np.random.PCG64(sequence)))
 
 
-def _advanced(engine: Engine[S], count: int, thin: int, state: S) -> tuple[S, np.ndarray]:
+def _advanced(engine: Engine, count: int, thin: int, state: Any) -> tuple[Any, np.ndarray]:
     """The state that a chain has moved on to, and its draws."""
     draws = engine.advance(state, count, thin)
     return state, draws
@@ -220,7 +220,7 @@ def _monitored(model: PosteriorModel, draws: np.ndarray) -> tuple[np.ndarray, tu
     return np.concatenate([draws, base], axis=-1), model.names + model.base.names
 
 
-def fingerprint(model: PosteriorModel, engine: Engine[Any], draws: int, chains: int, seed: int) -> str:
+def fingerprint(model: PosteriorModel, engine: Engine, draws: int, chains: int, seed: int) -> str:
     """What a checkpoint belongs to: data, model, engine and seed."""
     digest = sha256()
     for array in (model.likelihood.factors, model.likelihood.counts, model.to_columns, model.prior_factor):

@@ -12,7 +12,7 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import structural_base, unseen
 from bayesid.estimators import Estimate, Estimator, estimator
-from bayesid.estimators.against_prior import against_nominal
+from bayesid.estimators.conic.physical import against_nominal
 from bayesid.estimators.factor import channel_grams, pilot_of
 from bayesid.estimators.nonlinear import default_method, solve
 from bayesid.estimators.prior_check import PriorCheck

@@ -13,15 +13,14 @@ from scipy.linalg import cholesky
 from bayesid.arguments import argument, with_given
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
-from bayesid.estimators.against_prior import against_prior
+from bayesid.estimators.conic.physical import against_prior
 from bayesid.estimators.estimator import largest_autocorrelation
 from bayesid.estimators.nonlinear import settled
 from bayesid.estimators.prior_check import PriorCheck
-from bayesid.posterior.diagnostics import ConvergenceError
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.predictive import predictive_groups
 from bayesid.posterior.result import PRIOR_DRIVEN, Posterior
-from bayesid.posterior.run import Chains, Sampler, choose_engine, run
+from bayesid.posterior.run import Chains, ConvergenceError, Sampler, choose_engine, run
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.blocks import Block

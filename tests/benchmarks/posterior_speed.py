@@ -30,12 +30,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import bayesid
-from bayesid.posterior import coordinates
-from bayesid.posterior.diagnostics import convergence
 from bayesid.posterior.ensemble import Ensemble
 from bayesid.posterior.likelihood import Likelihood
-from bayesid.posterior.model import PosteriorModel
-from bayesid.posterior.run import choose_engine
+from bayesid.posterior.model import PosteriorModel, to_log_cholesky
+from bayesid.posterior.run import choose_engine, convergence
 from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
@@ -111,7 +109,7 @@ def problem_file(model: PosteriorModel, path: Path, draws: np.ndarray) -> None:
         n = model.link_count
         size = np.sqrt(np.diag(model.prior.precision))
         root = np.linalg.cholesky(model.prior.precision / np.outer(size, size)).T * size
-        bodies = coordinates.to_log_cholesky((linear @ model.entries.T)[:, :n].reshape(len(draws), -1, 10))
+        bodies = to_log_cholesky((linear @ model.entries.T)[:, :n].reshape(len(draws), -1, 10))
         theta = np.concatenate([bodies.reshape(len(draws), -1), linear[:, n:] / std[n:]], axis=1)
         arrays |= {
             "from_entries": model.from_entries, "prior": root, "prior_mean": model.prior.mean, "effect_scale": std[n:],

@@ -239,9 +239,9 @@ def test_intervals_end_where_no_robot_is_possible(tmp_path):
     rank, (low, high) = regression.base.rank, estimate.possible
     friction = np.array(regression.knowledge.effect_non_negative)
     assert (low[rank:][friction] == 0.0).all() and np.isinf(low[rank:][~friction]).all() and np.isinf(high).all()
-    assert (estimate.full_low >= low).all() and (estimate.full_low[rank:][friction] == 0.0).any()
+    assert (estimate.parameters().low >= low).all() and (estimate.parameters().low[rank:][friction] == 0.0).any()
     whole = estimate.solution - 1.959964 * estimate.full_std
-    np.testing.assert_allclose(estimate.full_low[np.isinf(low)], whole[np.isinf(low)], rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(estimate.parameters().low[np.isinf(low)], whole[np.isinf(low)], rtol=1e-5, atol=1e-9)
     assert re.search(r" in 0(\.0+)? … ", str(estimate))
     # Thousands of possible robots: none leaves the range, and each of its ends is one's that is almost empty.
     rng, size = np.random.default_rng(0), regression.base.matrix.shape[1]

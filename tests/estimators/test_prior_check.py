@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi2, kstest, multivariate_normal
 
 import bayesid
-from bayesid.estimators.against_prior import against_prior
+from bayesid.estimators.conic.physical import against_prior
 from bayesid.estimators.prior_check import CONFLICT
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia

@@ -9,14 +9,13 @@ from scipy.stats import ks_2samp
 from bayesid.errors import InputError
 from bayesid.estimators import fit
 from bayesid.posterior.checkpoint import load_checkpoint, save_checkpoint
-from bayesid.posterior.diagnostics import convergence
 from bayesid.posterior.likelihood import DofPrior, ScalePrior
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.result import Posterior
-from bayesid.posterior.run import choose_engine, run
+from bayesid.posterior.run import choose_engine, convergence, run
 from bayesid.posterior.trajectory import feasible, travel
 from bayesid.robot import inertia
-from tests.posterior_cases import one_body, regression, rejection, unrestricted
+from tests.posterior_cases import interrupted_in, one_body, regression, rejection, unrestricted
 
 KNOWN = ScalePrior(known=True)
 #: Monte Carlo errors above this are wrong: one in 16,000 by chance.
@@ -168,7 +167,7 @@ def test_seeds_reproduce_and_an_interrupted_run_goes_on_to_the_same_draws(tmp_pa
     assert_array_equal(sampled(model, engine, draws=1000, chains=2).chains.draws, whole)
     assert not np.array_equal(sampled(model, engine, draws=1000, chains=2, seed=2).chains.draws, whole)
     with pytest.raises(KeyboardInterrupt):
-        sampled(model, engine, draws=1000, chains=2, checkpoint=file, stop_after=2)
+        sampled(model, engine, draws=1000, chains=2, checkpoint=file, tell=interrupted_in(round=3))
     assert_array_equal(sampled(model, engine, draws=1000, chains=2, checkpoint=file, resume=True).chains.draws, whole)
     with pytest.raises(InputError, match="belongs to another run"):
         sampled(model, engine, draws=1200, chains=2, checkpoint=file, resume=True)

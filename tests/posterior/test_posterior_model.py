@@ -12,13 +12,18 @@ from bayesid.errors import InputError
 from bayesid.estimators import fit
 from bayesid.estimators.factor import whitened
 from bayesid.estimators.weights import learn_weights
-from bayesid.posterior import coordinates
-from bayesid.posterior.diagnostics import Convergence
 from bayesid.posterior.likelihood import DofPrior, ScalePrior
-from bayesid.posterior.model import PosteriorModel
+from bayesid.posterior.model import (
+    PosteriorModel,
+    entries_map,
+    from_log_cholesky,
+    matrices,
+    normaliser,
+    to_log_cholesky,
+)
 from bayesid.posterior.predictive import log_likelihood_terms
 from bayesid.posterior.result import Posterior
-from bayesid.posterior.run import Chains, choose_engine
+from bayesid.posterior.run import Chains, Convergence, choose_engine
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from tests.posterior_cases import BODY, one_body, regression, unrestricted
@@ -116,21 +121,21 @@ def test_log_cholesky_jacobian_is_that_of_finite_differences():
     rng = np.random.default_rng(0)
     for _ in range(5):
         theta = 0.5 * rng.normal(size=10)
-        entries, log_jacobian = coordinates.from_log_cholesky(theta)
-        numerical = numerical_gradient(lambda t: coordinates.from_log_cholesky(t)[0], theta)
+        entries, log_jacobian = from_log_cholesky(theta)
+        numerical = numerical_gradient(lambda t: from_log_cholesky(t)[0], theta)
         assert_allclose(np.linalg.slogdet(numerical)[1], log_jacobian, atol=1e-6)
-        assert np.linalg.eigvalsh(coordinates.matrices(entries))[0] > 0
-        assert_allclose(coordinates.to_log_cholesky(entries), theta, atol=1e-10)
+        assert np.linalg.eigvalsh(matrices(entries))[0] > 0
+        assert_allclose(to_log_cholesky(entries), theta, atol=1e-10)
 
 
 def test_entries_are_those_of_the_normalised_pseudo_inertia():
-    n = coordinates.normaliser(BODY)
+    n = normaliser(BODY)
     rng = np.random.default_rng(0)
     other = BODY + 0.1 * rng.normal(size=10)
     expected = n @ inertia.pseudo_inertia(other) @ n.T
-    assert_allclose(coordinates.matrices(coordinates.entries_map(BODY) @ other), expected, atol=1e-12)
+    assert_allclose(matrices(entries_map(BODY) @ other), expected, atol=1e-12)
     assert_allclose(n @ inertia.pseudo_inertia(BODY) @ n.T, np.eye(4), atol=1e-9)
-    placeholder = coordinates.normaliser(np.zeros(10))
+    placeholder = normaliser(np.zeros(10))
     assert np.isfinite(placeholder).all() and np.linalg.cond(placeholder) < 1e4
 
 

@@ -13,8 +13,8 @@ import bayesid
 from bayesid import cli
 from bayesid.errors import InputError
 from bayesid.posterior.convert import before_trees, load_arviz
-from bayesid.posterior.diagnostics import ConvergenceError
-from tests.posterior_cases import one_body, regression
+from bayesid.posterior.run import ConvergenceError
+from tests.posterior_cases import interrupted_in, one_body, regression
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 matplotlib.use("Agg")
@@ -166,7 +166,7 @@ def test_an_interrupted_verb_says_how_to_go_on(recorded, tmp_path, capsys, monke
     from bayesid.workflows import sample as sampling
 
     whole = sampling.run
-    monkeypatch.setattr(sampling, "run", lambda *a, **k: whole(*a, **k, stop_after=1))
+    monkeypatch.setattr(sampling, "run", lambda *a, **k: whole(*a, **{**k, "tell": interrupted_in(round=2)}))
     arguments = ["sample", str(folder), "--draws", "400", "--out", str(out)]
     assert cli.main(arguments) == 1
     assert "add --resume to go on from" in capsys.readouterr().err and not out.exists()

@@ -29,24 +29,10 @@ from bayesid.robot.robot import Robot
 
 
 def collision_boxes(robot: Robot, locked: Mapping[str, float] | None = None) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """For each body with collision geometry the box along its frame's axes that holds all of it.
+    """For each body with collision geometry the box along its frame's axes that holds all of it, for `Bounds.box` [m].
 
-    Parameters
-    ----------
-    robot
-        Loaded from a URDF with ``<collision>`` elements; a split sensor link has no box.
-    locked
-        Positions of the locked joints, as for `bayesid.load_robot`.
-
-    Returns
-    -------
-    dict
-        Body's name: lower and upper corner (3,), (3,) [m], for `Bounds.box`.
-
-    Raises
-    ------
-    InputError
-        The URDF has no collision geometry, or its meshes cannot be read.
+    The robot is loaded from a URDF with ``<collision>`` elements, ``locked`` are positions of locked joints as for
+    `bayesid.load_robot`; a split sensor link has no box. An `InputError` where there is no geometry, or it cannot be read.
     """
     model = pin.buildModelFromXML(robot.description.text)
     try:
@@ -172,20 +158,7 @@ class Bounds:
         return cls(**out)
 
     def linear(self, names: Sequence[str], bodies: Sequence[Sequence[int]], columns: int) -> tuple[Linear, ...]:
-        """The bounds as rows.
-
-        Parameters
-        ----------
-        names, bodies
-            Name and ten columns of each body.
-        columns
-            Number of all columns.
-
-        Raises
-        ------
-        InputError
-            A bound names no body.
-        """
+        """The bounds as rows over so many columns, ten of each named body; an `InputError` where a bound names none."""
         where = dict(zip(names, bodies, strict=True))
         for name in [*self.mass, *self.com, *self.ellipsoid, *self.box]:
             if name not in where:

@@ -30,7 +30,7 @@ from bayesid.estimators.conic.problem import Conic, Infeasible, Linear, Solution
 from bayesid.estimators.covariance import covariance_middle
 from bayesid.estimators.estimator import OPTIONAL, Details, Estimate
 from bayesid.estimators.least_squares import completeness, likelihood_weights, make_estimate, weighted_factor
-from bayesid.estimators.prior_check import Evidence
+from bayesid.estimators.prior_check import Evidence, PriorCheck, compared
 from bayesid.estimators.weights import learn_weights
 from bayesid.regression.linalg import UNSEEN, determined_inverse, pseudo_inverse, undetermined
 from bayesid.regression.regression import Regression
@@ -157,7 +157,8 @@ def possible_range(base: np.ndarray, bodies: Sequence[Sequence[int]], bounds: Se
     for k, row in enumerate(base):
         if np.any(row[others]):
             continue
-        values = np.linalg.eigvalsh(np.array([_form(row[list(b)]) for b in bodies]))
+        # A with ``tr(A P)`` the sum of a body's ten parameters times these coefficients.
+        values = np.linalg.eigvalsh(np.array([np.tensordot(row[list(b)], _DUAL, 1) for b in bodies]))
         slack = _TOLERANCE * np.abs(values).max()
         if values.min() >= -slack:
             out[0, k] = 0.0
@@ -176,11 +177,6 @@ def possible_range(base: np.ndarray, bodies: Sequence[Sequence[int]], bounds: Se
 
 #: ``tr(_DUAL[k] BASIS[l])`` is 1 where k = l, else 0 (10, 4, 4).
 _DUAL = np.tensordot(np.linalg.inv(np.einsum("kij,lij->kl", inertia.BASIS, inertia.BASIS)), inertia.BASIS, 1)
-
-
-def _form(coefficients: np.ndarray) -> np.ndarray:
-    """A with ``tr(A P)`` the sum of a body's ten parameters times these coefficients."""
-    return np.tensordot(coefficients, _DUAL, 1)
 
 
 #: Up to this prior relative standard deviation intervals of data and nominal model together cover as often as they say in
@@ -262,7 +258,11 @@ class Physical:
         if self.closest is None:
             joint = prior.stated and prior.probability >= DOUBTFUL and (prior.rel_std or 0.0) <= LARGEST_VALIDATED
             about, reason = "data and nominal model" if joint else "data", ""
-            covariance = _posterior(data, problem, regression.base.matrix) if joint else _of_data(matrix)
+            # Of the data alone, for a prior that is wide, doubtful or chosen by the data themselves: too cautious about an
+            # estimate that the nominal model pulls to the truth, but it held that in every case simulated
+            # (docs/studies/physical).
+            inverse = pseudo_inverse(matrix, UNSEEN)
+            covariance = _posterior(data, problem, regression.base.matrix) if joint else inverse @ inverse.T
         estimate = make_estimate(self.name, regression, learned, factor, values, covariance, hidden)
         details = PhysicalDetails(
             **completeness(learned, middle.dispersion),
@@ -391,19 +391,38 @@ def _posterior(data: LinkData, problem: Conic, base: np.ndarray) -> np.ndarray:
 
 
 def evidence_of(matrix: np.ndarray, target: np.ndarray, hidden: np.ndarray, rank: int) -> Evidence:
-    """Base parameters by the data alone (r,), their covariance (r, r), and which the data do not determine (r,).
-
-    ``matrix`` and ``target`` are as `compressed` gives them; ``hidden`` are columns that the data do not determine (p,).
-    """
+    """Base parameters by the data alone, of what `compressed` gives; ``hidden`` are columns that they do not determine (p,)."""
     inverse = determined_inverse(matrix, hidden)
     return (inverse @ target)[:rank], (inverse @ inverse.T)[:rank, :rank], hidden[:rank]
 
 
-def _of_data(matrix: np.ndarray) -> np.ndarray:
-    """Covariance of the unconstrained estimate.
+def against_prior(regression: Regression, prior: Prior, rel_std: float | None = None) -> PriorCheck | None:
+    """Check a prior of the links against what the rows say by themselves; None where they determine nothing."""
+    return compared(regression.base, _evidence_of_data(regression), prior.mean, prior.root, rel_std)
 
-    For a prior that is wide, doubtful or chosen by the data themselves: too cautious about an estimate that the nominal
-    model pulls to the truth, but it held the truth in every case simulated (docs/studies/physical).
+
+def against_nominal(regression: Regression, estimate: Estimate) -> PriorCheck | None:
+    """Check an estimate's data against its prior, or against nominal links with a stated deviation; None without either."""
+    details, known = estimate.details, regression.knowledge
+    if not known.states_masses:
+        return None
+    if isinstance(details, PhysicalDetails):
+        return details.prior.check
+    if known.nominal_links is None or not known.inertia_rel_std:
+        return None
+    prior, covariance = Prior.warped(known.nominal_links, known.inertia_rel_std), estimate.covariance
+    evidence = _evidence_of_data(regression) if covariance is None else (estimate.values, covariance, estimate.undetermined)
+    return compared(regression.base, evidence, prior.mean, prior.root, known.inertia_rel_std)
+
+
+def _evidence_of_data(regression: Regression) -> Evidence:
+    """Base parameters by the likelihood alone.
+
+    Weighted as `sdp` and the posterior do: by the noise where the model is complete, else by channel, and then with the
+    scatter between parts of the recording in the covariance.
     """
-    inverse = pseudo_inverse(matrix, UNSEEN)
-    return inverse @ inverse.T
+    learned = learn_weights(regression)
+    factor, scale = weighted_factor(regression, learned, likelihood_weights(learned))
+    middle = covariance_middle(regression, learned, scale, factor)
+    matrix, target = compressed(factor.matrix, factor.target, middle.matrix)
+    return evidence_of(matrix, target, undetermined(factor.matrix), regression.base.rank)

@@ -5,12 +5,15 @@ all of its rows; least squares is w = 1.
 
 * Huber [Huber1964]_: w = min(1, k / sqrt(q)), where a normal segment is longer than k with a fixed probability.
 * Student's t [Lange1989]_: w = (nu + n) / (nu + q), the multivariate t with nu degrees of freedom for whole segments.
+
+The iteration asks of a loss the weights w(q), their slopes w'(q), the scale squared at which the lengths q are as long as normal
+ones (``variance``), and the loss with what it learns from all lengths (``fitted``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from scipy.optimize import brentq
@@ -22,26 +25,6 @@ WHOLE = 0.95
 #: Degrees of freedom are looked for in this range; the upper end is as good as normal.
 LOWEST_NU, HIGHEST_NU = 1.0, 1000.0
 _PASSES = 100
-
-
-class Loss(Protocol):
-    """What the iteration asks of a loss; q are squared lengths, n the degrees of freedom of a normal segment."""
-
-    def weights(self, q: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """Weights w(q)."""
-        ...
-
-    def slopes(self, q: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """Derivatives w'(q)."""
-        ...
-
-    def variance(self, q: np.ndarray, n: np.ndarray) -> float:
-        """Scale squared at which the lengths q are as long as normal ones."""
-        ...
-
-    def fitted(self, q: np.ndarray, n: np.ndarray) -> Self:
-        """The loss with what it learns from all lengths."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -131,6 +114,9 @@ class StudentLoss:
             return replace(self, nu=LOWEST_NU)
         root = np.asarray(brentq(score, low, high, xtol=1e-6))
         return replace(self, nu=float(np.exp(root)))
+
+
+Loss = HuberLoss | StudentLoss
 
 
 def _clipped_mean(n: np.ndarray, limit: np.ndarray) -> np.ndarray:
