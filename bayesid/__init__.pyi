@@ -43,14 +43,13 @@ from .workflows.check import check
 from .workflows.compare import compare
 from .workflows.demo import Demo, demo
 from .workflows.diagnose import diagnose
-from .workflows.excite import excite
+from .workflows.excite import excite, tell
 from .workflows.export import export
 from .workflows.identifiability import identifiability
 from .workflows.identify import identify
 from .workflows.payload import payload
 from .workflows.read_recording import read_recording
 from .workflows.sample import sample
-from .workflows.tell import tell
 from .workflows.watch import watch
 
 __version__: str

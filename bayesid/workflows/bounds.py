@@ -5,29 +5,35 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bayesid.arguments import argument, call
 from bayesid.design.bounds.bands import FAR, Band, band
 from bayesid.design.bounds.inside_joints import inside_joints
-from bayesid.design.bounds.knowledge import Known
+from bayesid.design.bounds.knowledge import PRIOR_DRAWS, Known, known_from, prior_links
 from bayesid.design.bounds.model import ReadingModel, left_out_effects, possible_parameters, sensor_model, spread, torque_model
 from bayesid.design.bounds.remainder import Remainder, remainder
 from bayesid.design.bounds.robust import effort_ratio
 from bayesid.design.bounds.workspace import CONFIGURATIONS, sobol_configurations, workspace_bounds
+from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects import MotionSegment
 from bayesid.errors import InputError
 from bayesid.estimators import Estimator
+from bayesid.posterior.result import Posterior
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, Motion, as_experiment
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
-from bayesid.regression.problem import Problem
+from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.readings import make_channels
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands
+from bayesid.results.fitted_model import joint_dynamics
 from bayesid.results.identification import Identification
+from bayesid.results.loaded import LoadedIdentification, LoadedPosterior, load
 from bayesid.results.posterior import ExperimentPosterior, posterior_robot
+from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot, motion_limits
 from bayesid.rounding import number
 from bayesid.signals.filters import LowPass
@@ -36,7 +42,6 @@ from bayesid.validation.noise_floor import noise_floor
 from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.sample import sample
-from bayesid.workflows.saved_run import known_from_run, known_of_draws, known_of_estimate
 
 
 def assumptions(result: ControllerBounds, dropped: Sequence[str]) -> tuple[str, ...]:
@@ -216,7 +221,7 @@ def bounds(
     planned = _planned(trajectory, source.robot if isinstance(source, Experiment) else source.problem.experiment.robot)
     if run is not None and isinstance(source, Experiment):
         with one_blas_thread():
-            known, warned = known_from_run(source, Path(run), chosen, prior_std, DRAWS, seed)
+            known, warned = _known_from_run(source, Path(run), chosen, prior_std, seed)
     else:
         if isinstance(source, Experiment):
             clock("posterior or estimate")
@@ -240,19 +245,108 @@ def _fitted(
 
 
 def _known(source: ExperimentPosterior | Identification, prior_std: float | None, seed: int) -> Known:
+    """What is known after a fit just made."""
     if isinstance(source, Identification):
-        conflict = source.prior_check is not None and source.prior_check.conflict
-        urdf = source.urdf
-        return known_of_estimate(
-            source.problem, source.estimate, urdf.unconstrained, urdf.links, urdf.dynamics, conflict, source.floor, prior_std,
-            DRAWS, seed,
+        e, urdf = source.estimate, source.urdf
+        return known_from(
+            source.problem, source="estimate", method=e.method, mean=e.solution, covariance=e.full_covariance,
+            undetermined=e.undetermined, centre=urdf.unconstrained, urdf=urdf.links, dynamics=urdf.dynamics, rel_std=prior_std,
+            conflict=source.prior_check is not None and source.prior_check.conflict, dispersion=e.details.dispersion or 1.0,
+            floor=source.floor, count=DRAWS, seed=seed,
         )  # fmt: skip
     model, kept = source.model, source.model.physical and source.link_draws is not None
-    prior = model.prior_draws(DRAWS, np.random.default_rng(source.seed)) if kept else None
     robot = posterior_robot(source)
-    return known_of_draws(
-        source.problem, source, model.noise, model.prior is None, source.link_draws if kept else None, prior,
-        None if robot is None else robot[0], prior_std or source.rel_std, model.likelihood.dispersion, DRAWS, seed,
+    return _known_of_draws(
+        source.problem, source, f"{'flat' if model.prior is None else 'nominal'} prior, {model.noise} noise",
+        source.link_draws if kept else None,
+        model.prior_draws(DRAWS, np.random.default_rng(source.seed)) if kept else None,
+        None if robot is None else robot[0], prior_std or source.rel_std, model.likelihood.dispersion, seed,
+    )  # fmt: skip
+
+
+def _known_from_run(
+    experiment: Experiment, run: Path, options: FitOptions, prior_std: float | None, seed: int
+) -> tuple[Known, tuple[str, ...]]:
+    """What is known after an earlier run, by its folder, ``estimate.json`` or ``posterior.json``, and the warnings it had.
+
+    Effects, static and bandwidth of ``options`` count where the run was given others than the experiment has. An `InputError`
+    where files are missing, are no run's, or belong to another experiment or model.
+    """
+    named = [run / name for name in ("estimate.json", "posterior.json")]
+    file = run if run.suffix == ".json" else next((f for f in named if f.is_file()), named[0])
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; name a folder that identify or sample wrote")
+    found, model = load(file), file.parent / "model.toml"
+    if not isinstance(found, (LoadedIdentification, LoadedPosterior)):
+        raise InputError(f"{file}: is not as a run of bayesid writes it; name a folder of identify or sample")
+    if options.effects is None and isinstance(found, LoadedIdentification) and model.is_file():
+        experiment = experiment.with_model(model)
+    try:
+        return _known_of_loaded(experiment, found, options, prior_std, seed), tuple(found.document["warnings"])
+    except (KeyError, TypeError, IndexError) as error:
+        raise InputError(f"{file}: is not as a run of bayesid writes it ({error}); run it again") from None
+
+
+def _known_of_loaded(
+    experiment: Experiment, found: LoadedIdentification | LoadedPosterior, options: FitOptions, prior_std: float | None, seed: int
+) -> Known:
+    document, file = found.document, found.path
+    if document["experiment"] != experiment.name:
+        other = document["experiment"]
+        raise InputError(f"{file}: is of experiment '{other}', not of '{experiment.name}'; name a run of this one")
+    problem = _prepared(experiment, document, options)
+    base, effects = problem.row_model.base, problem.regression.effect_names
+    names = [p["name"] for p in (*document["base_parameters"], *document["effect_parameters"])]
+    if names != [*base.names, *effects]:
+        raise InputError(
+            f"{file}: its parameters are not those of this experiment and model; give the {argument('effects')} and "
+            f"{argument('static')} of that run, or run it again"
+        )
+    if isinstance(found, LoadedPosterior):
+        prior, links, rel_std = None, None, prior_std or document["inertia_rel_std"]
+        nominal = problem.regression.knowledge.nominal_links
+        if "bodies that can exist only" in document["prior"] and rel_std and nominal is not None:
+            if (links := found.link_draws) is None:
+                raise KeyError("link")
+            prior = prior_links(base, Prior.warped(nominal, rel_std), PRIOR_DRAWS, seed)
+        method = f"{'flat' if document['prior'].startswith('flat') else 'nominal'} prior, {document['noise']} noise"
+        return _known_of_draws(problem, found, method, links, prior, None, rel_std, float(document["dispersion"]), seed)
+    e = found.estimate
+    return known_from(
+        problem, source="estimate", method=e.method, mean=e.solution, covariance=e.full_covariance, undetermined=e.undetermined,
+        centre=nearest_links(experiment.robot, base, e.values, ~e.undetermined[: base.rank]), urdf=found.link_parameters,
+        dynamics=found.dynamics, rel_std=prior_std, conflict=bool((document["prior_against_data"] or {}).get("conflict")),
+        dispersion=e.details.dispersion or 1.0, floor=noise_floor(problem), count=DRAWS, seed=seed,
+    )  # fmt: skip
+
+
+def _prepared(experiment: Experiment, document: dict[str, Any], options: FitOptions) -> Problem:
+    """The experiment made ready as an earlier run did."""
+    filters = document["filter"]
+    static = document.get("static", "none")
+    return prepare(
+        experiment,
+        FitOptions(
+            document["channel"], None if filters["l"] is None else LowPass(filters["l"], filters["d"]), document["motions"],
+            options.effects, "joint" if "joint" in (static, options.static) else "motion",
+            options.bandwidth or filters.get("bandwidth_hz"),
+        ),
+    )  # fmt: skip
+
+
+def _known_of_draws(
+    problem: Problem, posterior: Posterior | LoadedPosterior, method: str, links: np.ndarray | None, prior: np.ndarray | None,
+    urdf: np.ndarray | None, rel_std: float | None, dispersion: float, seed: int,
+) -> Known:  # fmt: skip
+    """What is known after a posterior, by draws of links (chains, draws, P) and of their prior (m, P)."""
+    draws = np.concatenate([posterior.base_draws, posterior.effect_draws], axis=-1)
+    draws = draws.reshape(-1, draws.shape[-1])
+    nothing, mean, rank = np.zeros(draws.shape[1], bool), draws.mean(axis=0), problem.row_model.base.rank
+    return known_from(
+        problem, source="posterior", method=method, mean=mean, covariance=np.atleast_2d(np.cov(draws.T)), undetermined=nothing,
+        draws=draws, urdf=urdf, link_draws=None if links is None else links.reshape(-1, links.shape[-1]), prior_draws=prior,
+        dynamics=joint_dynamics(problem, mean[rank:], ~nothing[rank:]), rel_std=rel_std, dispersion=dispersion, count=DRAWS,
+        seed=seed,
     )  # fmt: skip
 
 

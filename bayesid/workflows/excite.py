@@ -1,4 +1,4 @@
-"""The verb ``excite``: an exciting trajectory within limits, before anything is recorded."""
+"""The verb ``excite``: an exciting trajectory within limits, before anything is recorded, or one that tells effects apart."""
 
 from __future__ import annotations
 
@@ -9,23 +9,27 @@ from pathlib import Path
 
 import numpy as np
 
-from bayesid.arguments import argument, with_given
+from bayesid.arguments import argument, names, with_given
 from bayesid.design.excitation.blocks import StopAndGo, check_blocks, scripted_blocks, stop_and_go
 from bayesid.design.excitation.information import CRITERIA
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import Plan, make_plan
 from bayesid.design.expected import expect
 from bayesid.design.reading_noise import white_noise
+from bayesid.design.tell.choose import tell_effects
 from bayesid.design.visibility import shown
+from bayesid.diagnosis.prepare import known_terms, prepare_data
+from bayesid.diagnosis.settings import DEFAULT
 from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
-from bayesid.recordings.experiment import Experiment, Sensor, load_experiment, load_setup
+from bayesid.recordings.experiment import Experiment, Sensor, as_experiment, load_experiment, load_setup
 from bayesid.regression.parallel import one_blas_thread
-from bayesid.regression.readings import make_channels
-from bayesid.results.excitation import Excitation, LimitUse
+from bayesid.regression.readings import default_channel, has_readings, make_channels
+from bayesid.results.excitation import DistinguishingMotion, Excitation, LimitUse
 from bayesid.robot.robot import Robot
 from bayesid.robot.typical import states_masses
-from bayesid.simulation.trajectories import Trajectory, read_trajectory, recorded_trajectories
+from bayesid.simulation.simulation import simulate
+from bayesid.simulation.trajectories import Trajectory, fourier_trajectory, read_trajectory, recorded_trajectories
 from bayesid.tasks import cluster
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 
@@ -225,3 +229,78 @@ def limit_uses(plan: Plan) -> list[LimitUse]:
 def _uses(kind: str, *columns) -> list[LimitUse]:
     """Uses of limits of a kind: where, reached, limit, unit and ratio of each."""
     return [LimitUse(kind, w, float(a), float(b), u, float(c)) for w, a, b, u, c in zip(*columns, strict=True)]
+
+
+@shows_progress
+def tell(
+    experiment: Experiment | str | Path,
+    effects: Sequence[str],
+    options: ExcitationOptions | None = None,
+    *,
+    motions: str | Sequence[str] | None = None,
+    seed: int = 0,
+    channel: str | None = None,
+    duration: float | None = None,
+    period: float | None = None,
+    harmonics: int | None = None,
+    rate: float | None = None,
+    joints: str | Sequence[str] | None = None,
+    share: float | None = None,
+    torque_share: float | None = None,
+    acceleration: float | Sequence[float] | None = None,
+    sensor_range: Sequence[float] | None = None,
+    collisions: bool | None = None,
+    progress: Progress | None = SHOWN,
+) -> DistinguishingMotion:
+    """Find the motion within limits that best tells effects apart, and how probably it decides.
+
+    Parameters
+    ----------
+    experiment
+        Loaded, or its folder. What recorded motions tell already counts, and noise is as in them; without any it is as stated.
+    effects
+        Two or more: ``name@where``, or ``name`` where there is one place.
+    options
+        Readings, limits and length of the motion, as for `bayesid.excite`; keywords stand in the place of its parts.
+    motions
+        Names of the recordings that count; default those with role ``identification``.
+    seed
+        Of everything random.
+    channel, duration, period, harmonics, rate, joints, share, torque_share, acceleration, sensor_range, collisions
+        As in `bayesid.ExcitationOptions`, which explains them.
+    progress
+        Called with the name of every stage; default: shown where it takes over two seconds; None: never.
+
+    Raises
+    ------
+    InputError
+        Bad input, or limits that leave no room; the message says what to do.
+    """
+    chosen = with_given(
+        options or ExcitationOptions(), channel=channel, duration=duration, period=period, harmonics=harmonics, rate=rate,
+        joints=joints, share=share, torque_share=torque_share, acceleration=acceleration, sensor_range=sensor_range,
+        collisions=collisions,
+    )  # fmt: skip
+    clock = Clock(progress)
+    with one_blas_thread():
+        clock("reading")
+        experiment = (
+            load_experiment(experiment, planned=True) if isinstance(experiment, (str, Path)) else as_experiment(experiment)
+        )
+        channel = chosen.channel or default_channel(experiment)
+        clock("noise of sensors and encoders")
+        recorded = any(m.kind == "trajectory" and has_readings(m.table, channel) for m in experiment.motions)
+        if not recorded:  # for its noise alone
+            experiment = simulate(experiment, [fourier_trajectory(experiment.robot, seed=seed)], effects=(), seed=seed)
+        terms, held = known_terms(experiment, channel, None)
+        data = prepare_data(experiment, channel, terms, names(motions) if recorded else None, seed, held, DEFAULT)
+        clock("the motion that tells them apart")
+        asked = replace(chosen, channel=channel)
+        telling = tell_effects(data, names(effects) or (), recorded=recorded, options=asked, seed=seed)
+    if telling is None:
+        raise InputError(
+            f"no motion within all limits was found: widen {argument('share')}, {argument('torque_share')} or "
+            f"{argument('acceleration')}"
+        )
+    recordings = tuple(dict.fromkeys(s.motion for s in data.segments)) if recorded else ()
+    return DistinguishingMotion(experiment.name, channel, recordings, telling, clock.stop())

@@ -27,7 +27,7 @@ from bayesid.robot.robot import motion_limits
 from bayesid.simulation.simulation import Recorder, simulate, write_simulation
 from bayesid.simulation.trajectories import fourier_trajectory, read_trajectory
 from bayesid.workflows.diagnose import diagnose
-from bayesid.workflows.tell import tell as tell_verb
+from bayesid.workflows.excite import tell as tell_verb
 from tests.simulated import puma2
 
 
