@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.arguments import call
-from bayesid.design.identifiability import PlannedMotions, SetReport, report_of, richest_base
+from bayesid.design.identifiability import WEAK, PlannedMotions, SetReport, report_of, richest_base
 from bayesid.design.reading_noise import ReadingNoise
-from bayesid.design.visibility import WEAK
 from bayesid.dynamics.base_parameters import BaseParameters, unseen
 from bayesid.recordings.experiment import Motion
 from bayesid.recordings.table import GAP

@@ -12,8 +12,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from bayesid.design.identifiability import SetReport
-from bayesid.design.visibility import ALONE, COMBINATION, EFFECT, LETTERS, NEVER, UNEXCITED, WEAK, WORDS, by_body
+from bayesid.design.identifiability import ALONE, COMBINATION, EFFECT, LETTERS, NEVER, UNEXCITED, WEAK, WORDS, SetReport, by_body
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.figures import CLASSES, GREY, list_rows, make_grid, place_legend, plain_log, styled
 from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, run_times, svg, terms, versions, warnings

@@ -11,13 +11,12 @@ import numpy as np
 from scipy.io import savemat
 
 from bayesid.design.bounds.bands import FAR, Band, band
-from bayesid.design.bounds.inside_joints import InsideJoints
 from bayesid.design.bounds.knowledge import Known
 from bayesid.design.bounds.model import ReadingModel, checked_states
 from bayesid.design.bounds.region import Region
 from bayesid.design.bounds.remainder import Remainder
 from bayesid.design.bounds.robust import ellipsoid_term, norm_term, tracking_bound
-from bayesid.design.bounds.workspace import Workspace, mass_eigenvalues
+from bayesid.design.bounds.workspace import InsideJoints, Workspace, mass_eigenvalues
 from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL

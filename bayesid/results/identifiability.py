@@ -8,9 +8,8 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from bayesid.design.advice import Advice, brief
-from bayesid.design.identifiability import EffectExpectation, SetReport
+from bayesid.design.identifiability import LETTERS, WORDS, EffectExpectation, LinkExpectation, SetReport, by_body
 from bayesid.design.separability import Separation
-from bayesid.design.visibility import LETTERS, WORDS, LinkExpectation, by_body
 from bayesid.drawing import figures_of
 from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.recordings.complaints import listed

@@ -29,7 +29,7 @@ from bayesid.results.fitted_model import UrdfLinks, by_effect, fitted_model, imp
 from bayesid.robot.urdf import write_urdf
 from bayesid.rounding import LEVEL
 from bayesid.section import as_html, as_text
-from bayesid.validation.cross_checks import Agreement
+from bayesid.validation.agreement import Agreement
 from bayesid.validation.headline import over_noise, still_predictable
 from bayesid.validation.noise_floor import NoiseFloor
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings

@@ -15,9 +15,9 @@ from bayesid.design.excitation.information import CRITERIA
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import Plan, make_plan
 from bayesid.design.expected import expect
+from bayesid.design.identifiability import shown
 from bayesid.design.reading_noise import white_noise
 from bayesid.design.tell.choose import tell_effects
-from bayesid.design.visibility import shown
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.dynamics.regressors import Kernel

@@ -11,10 +11,9 @@ import numpy as np
 from bayesid.arguments import argument, names
 from bayesid.design.advice import advise, duration
 from bayesid.design.expected import Expected, expected_factors
-from bayesid.design.identifiability import PlannedMotions, SetReport, report_of, set_report, with_differences
+from bayesid.design.identifiability import PlannedMotions, SetReport, report_of, set_report, shown, with_differences
 from bayesid.design.reading_noise import SENSOR_SETS, ReadingNoise, SensorSet, recorded_noise, white_noise
 from bayesid.design.separability import pair_of, separations
-from bayesid.design.visibility import shown
 from bayesid.errors import InputError
 from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment, load_setup

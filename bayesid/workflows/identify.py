@@ -26,7 +26,7 @@ from bayesid.regression.problem import Problem, prepare, weight_columns
 from bayesid.results.identification import Identification, NotShown
 from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
-from bayesid.validation.cross_checks import Agreement, Alone, fits_alone, motions_apart, static_both_ways, wrench_against_torque
+from bayesid.validation.agreement import Agreement, Alone, fits_alone, motions_apart, static_both_ways, wrench_against_torque
 from bayesid.validation.flexible import FlexibleModel, flexible_gaps
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import Prediction, predict

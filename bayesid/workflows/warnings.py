@@ -15,7 +15,7 @@ from bayesid.recordings.complaints import listed
 from bayesid.regression.problem import Problem
 from bayesid.regression.readings import has_readings
 from bayesid.section import powers
-from bayesid.validation.cross_checks import Agreement
+from bayesid.validation.agreement import Agreement
 from bayesid.validation.headline import judged, useless
 from bayesid.validation.prediction import BAND, Prediction
 

@@ -8,7 +8,7 @@ import pytest
 import bayesid
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare, restrict
-from bayesid.validation.cross_checks import compare_estimates
+from bayesid.validation.agreement import compare_estimates
 from bayesid.workflows.sample import as_estimate
 from tests.studies.real_robots import Case, apart, estimate, halves
 

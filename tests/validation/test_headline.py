@@ -11,7 +11,7 @@ from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.robot.robot import load_robot
 from bayesid.signals.filters import LowPass
-from bayesid.validation.cross_checks import Agreement
+from bayesid.validation.agreement import Agreement
 from bayesid.validation.headline import judged, over_noise, useless, worse_than_nothing
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import Prediction

@@ -22,9 +22,8 @@ from bayesid.regression.readings import make_channels
 from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
 from bayesid.validation.mistakes.candidates import candidates, of_wrench
-from bayesid.validation.mistakes.evidence import Change, Explainer, independent_samples
+from bayesid.validation.mistakes.evidence import Change, Explainer, body_generators, independent_samples
 from bayesid.validation.mistakes.from_data import orders
-from bayesid.validation.mistakes.plausible import body_generators
 from bayesid.validation.mistakes.samples import low_passed
 from bayesid.validation.mistakes.search import find_mistakes
 from tests.robots import ROBOTS, lwr4, ur5, wrist_sensor_arm, write

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 import bayesid
 from bayesid.cli import main
 from bayesid.robot.robot import load_robot
-from bayesid.validation.cross_checks import motions_apart
+from bayesid.validation.agreement import motions_apart
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import predict
 from tests.robots import ur5, wrist_sensor_arm, write

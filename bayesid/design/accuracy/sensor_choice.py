@@ -22,8 +22,8 @@ from pydantic import Field
 
 from bayesid.design.accuracy.bench import Bench, missing_effects
 from bayesid.design.expected import Expected, rows_of
+from bayesid.design.identifiability import Shown, shown, std_with_prior
 from bayesid.design.reading_noise import SENSOR_SETS
-from bayesid.design.visibility import Shown, shown, std_with_prior
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.effects import MotionSegment, Term

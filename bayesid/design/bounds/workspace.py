@@ -1,4 +1,4 @@
-"""Bounds on mass matrix, Coriolis terms and gravity over the workspace.
+"""Bounds on mass matrix, Coriolis terms and gravity over the workspace, and what is inside the joints beside them.
 
 Joint configurations are a Sobol sequence within the joints' limits. At each, of the controller's model (hat) and every draw of
 links that can exist:
@@ -11,11 +11,14 @@ links that can exist:
 
 Each is largest over the configurations first, then its 95 % quantile over the draws is taken: the bound holds at all those
 configurations at once. Between them the largest value can be slightly larger; more of them show by how much.
+
+A sensor under the base or at the wrist cannot know at all what is inside the joints, rotors and friction. How large these usually
+are follows from the effort limits, see `bayesid.effects.sizes`; a guess, to be replaced by a data sheet's numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +27,8 @@ from scipy.stats import qmc
 
 from bayesid.design.bounds.model import ReadingModel
 from bayesid.design.bounds.region import quantile
+from bayesid.effects.drives import RotorInertia
+from bayesid.effects.friction import CoulombFriction, ViscousFriction
 from bayesid.robot.robot import Robot, motion_limits
 from bayesid.rounding import LEVEL
 
@@ -208,3 +213,53 @@ def _symmetric(matrices: np.ndarray) -> np.ndarray:
 def _largest_gain(matrices: np.ndarray) -> np.ndarray:
     """Largest singular value of matrices (d, m, n, p) over all m (d,), by way of the small squares."""
     return np.sqrt(np.maximum(np.linalg.eigvalsh(matrices @ np.swapaxes(matrices, 2, 3))[..., -1].max(axis=1), 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class InsideJoints:
+    """What is inside the joints, by joint (n,), as far as it was identified and as large as it usually is otherwise."""
+
+    joints: tuple[str, ...]  # their names
+    identified: tuple[str, ...]  # specs of the effects inside the joints that were identified
+    #: Usual size where it was not identified, nan where it was [kg m^2, N m, N m s/rad; kg, N, N s/m].
+    rotor: np.ndarray
+    coulomb: np.ndarray
+    viscous: np.ndarray
+    rotor_share: np.ndarray  # the usual rotor inertia over the smallest diagonal element of the links' mass matrix
+    friction_share: np.ndarray  # usual friction at full speed over the largest torque of gravity; nan where there is none
+
+    @property
+    def complete(self) -> bool:
+        """Whether all of it was identified."""
+        return not np.isfinite(np.concatenate([self.rotor, self.coulomb, self.viscous])).any()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, as in ``bounds.json``; null for what was identified."""
+        numbers = {
+            name: [float(x) if np.isfinite(x) else None for x in getattr(self, name)]
+            for name in ("rotor", "coulomb", "viscous", "rotor_share", "friction_share")
+        }
+        return {"joints": list(self.joints), "identified": list(self.identified), "usual_size_where_not_identified": numbers}
+
+
+def inside_joints(model: ReadingModel, workspace: Workspace) -> InsideJoints:
+    """What was identified inside the joints, and how large the rest usually is."""
+    robot = model.robot
+    held = {drive.effect.spec for drive in model.drives}
+
+    def usual(kinds: Sequence[type[RotorInertia] | type[CoulombFriction] | type[ViscousFriction]]) -> list[np.ndarray]:
+        out = []
+        for kind in kinds:
+            effects = [kind(f"joint{j + 1}", j) for j in range(robot.n)]
+            out.append(np.array([np.nan if e.spec in held else float(e.typical(robot)[0]) for e in effects]))
+        return out
+
+    rotor, coulomb, viscous = usual((RotorInertia, CoulombFriction, ViscousFriction))
+    friction = np.nan_to_num(coulomb) + np.nan_to_num(viscous) * motion_limits(robot)[2]
+    known = np.isnan(coulomb) & np.isnan(viscous)
+    floor = 1e-9 * max(float(workspace.gravity.max(initial=0.0)), 1e-300)
+    carried = np.where(workspace.gravity > floor, workspace.gravity, np.nan)
+    return InsideJoints(
+        robot.joint_names, tuple(sorted(held)), rotor, coulomb, viscous, rotor / np.maximum(workspace.inertia[:, 0], 1e-300),
+        np.where(known, np.nan, friction / carried),
+    )  # fmt: skip

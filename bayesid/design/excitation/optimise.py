@@ -29,9 +29,8 @@ from functools import partial
 import numpy as np
 from scipy.optimize import minimize, nnls
 
-from bayesid.design.excitation.information import Criterion, Information
+from bayesid.design.excitation.information import Criterion, Information, JudgedQuantity
 from bayesid.design.excitation.limits import Limits, Motion
-from bayesid.design.excitation.quantities import JudgedQuantity
 from bayesid.design.excitation.series import Coordinates, FourierSeries
 from bayesid.tasks import map_tasks, on_cluster
 

@@ -31,8 +31,8 @@ class ExcitationOptions:
     static
         Whether a stop-and-go run will follow and be subtracted, as in the paper.
     criterion, quantities
-        What counts, see `bayesid.design.excitation.information`; quantities whose expected deviation is given, and which count
-        for ``quantity``, see `bayesid.design.excitation.quantities`.
+        What counts, and quantities whose expected deviation is given, and which count for ``quantity``: see
+        `bayesid.design.excitation.information`.
     kind
         ``fourier``, or ``liu1998`` for the paper's set-up.
     duration, period, harmonics, rate

@@ -15,11 +15,10 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.design.excitation.collision import clearance
 from bayesid.design.excitation.diagnosability import Diagnosability, diagnosability
-from bayesid.design.excitation.information import Information
+from bayesid.design.excitation.information import Information, criterion_of, parse_quantity
 from bayesid.design.excitation.limits import Limits, LoadLimit
 from bayesid.design.excitation.optimise import Task, TrajectorySearch, search
 from bayesid.design.excitation.options import BELOW_RESONANCE, ExcitationOptions, largest_accelerations, sensor_ranges
-from bayesid.design.excitation.quantities import criterion_of, parse_quantity
 from bayesid.design.excitation.series import Coordinates, FourierSeries, fitted_series
 from bayesid.design.reading_noise import SENSOR_SETS, SensorSet, white_noise
 from bayesid.dynamics.channels import torque_channels

@@ -332,8 +332,7 @@ def _shifted(shift: np.ndarray) -> np.ndarray:
 def candidates(experiment: Experiment, channel: str, samples: Samples) -> list[Candidate]:
     """Every mistake of signs, units and frames that readings of a channel could have, the usual ones first.
 
-    Orders of columns, scales of single joints and a tilted base are found from the data (`bayesid.validation.mistakes.from_data`,
-    `bayesid.validation.mistakes.scale`).
+    Orders of columns, scales of single joints and a tilted base are found from the data: `bayesid.validation.mistakes.from_data`.
     """
     robot = experiment.robot
     names = robot.joint_names

@@ -11,8 +11,7 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.regression.readings import has_readings, make_channels, readings_of
 from bayesid.signals.smoothing import smooth
 from bayesid.validation.mistakes.candidates import Mistake
-from bayesid.validation.mistakes.evidence import WORSE, independent_samples
-from bayesid.validation.mistakes.plausible import friction_columns, offset_columns
+from bayesid.validation.mistakes.evidence import WORSE, friction_columns, independent_samples, offset_columns
 from bayesid.validation.mistakes.samples import BANDWIDTH
 
 _STEP, _LONGEST = 0.01, 0.5  # of the delays that are tried [s]

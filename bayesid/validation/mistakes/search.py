@@ -23,9 +23,8 @@ from bayesid.validation.mistakes.evidence import (
     RobotFit,
     independent_samples,
 )
-from bayesid.validation.mistakes.from_data import orders, other_zeros, tilted
+from bayesid.validation.mistakes.from_data import by_joint, implausible_size, orders, other_zeros, tilted, weight_carried
 from bayesid.validation.mistakes.samples import low_passed
-from bayesid.validation.mistakes.scale import by_joint, implausible_size, weight_carried
 
 _LISTED = 3
 #: A link that is this far away in one of two poses is told from the other by eye [m].
