@@ -242,25 +242,13 @@ class _Rows:
 
 @dataclass(frozen=True)
 class FlexibleModel:
-    """All of a flexible model but what depends on an estimate: the fitted motions' rows, functions of their states, and products.
+    """All of a flexible model but what depends on an estimate: the fitted rows, functions of their states, and products."""
 
-    Attributes
-    ----------
-    functions
-        Of the range of the fitted motions.
-    fitted, values
-        Rows of the fitted motions, and the functions' values there (k, f).
-    grams
-        Gram matrices (s, f + p, f + p) of each channel, by part.
-    joints
-        Whose torques the channels read, None for a sensor's.
-    """
-
-    functions: Functions
-    fitted: _Rows
-    values: np.ndarray
-    grams: list[np.ndarray]
-    joints: list[int | None]
+    functions: Functions  # of the range of the fitted motions
+    fitted: _Rows  # rows of the fitted motions
+    values: np.ndarray  # the functions there (k, f)
+    grams: list[np.ndarray]  # Gram matrices (s, f + p, f + p) of each channel, by part
+    joints: list[int | None]  # whose torques the channels read, None for a sensor's
 
     @classmethod
     def of(cls, problem: Problem, motions: Sequence[str]) -> FlexibleModel | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -319,7 +319,7 @@ def _known_of_loaded(
     )  # fmt: skip
 
 
-def _prepared(experiment: Experiment, document: dict[str, Any], options: FitOptions) -> Problem:
+def _prepared(experiment: Experiment, document: Mapping[str, Any], options: FitOptions) -> Problem:
     """The experiment made ready as an earlier run did."""
     filters = document["filter"]
     static = document.get("static", "none")

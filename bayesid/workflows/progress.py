@@ -101,18 +101,10 @@ def _tqdm() -> Any:
 
 
 class Clock:
-    """Run time by stage, shown on a progress display as it goes: called with a stage's name when it begins.
-
-    Attributes
-    ----------
-    progress
-        Is called with each stage; None: nothing is.
-    seconds
-        Run time of every stage that is over [s].
-    """
+    """Run time by stage, shown on a progress display as it goes: called with a stage's name when it begins."""
 
     def __init__(self, progress: Progress | None):
-        self.progress, self.seconds = progress or quiet, {}
+        self.progress, self.seconds = progress or quiet, {}  # what is called with each stage; times of those that are over [s]
         self.stage, self.since = "", time.perf_counter()
 
     def __call__(self, stage: str) -> None:

@@ -227,7 +227,7 @@ class Setting:
     step: float = 0.0  # resolution of the readings in standard deviations of the user's own noise; 0: none
     rate: float = 1.0  # factor of the sampling rate: a whole number, or one over one
     length: float = 1.0  # share of each motion that is recorded, from its start
-    velocity: str = "smoothed"  # one of `bayesid.design.accuracy.fits.VELOCITIES`
+    velocity: str = "smoothed"  # or ``central`` or ``forward`` differences of the positions
     offset: str = ""  # a key of `OFFSETS`, or empty for the user's own treatment
     options: FitOptions = field(default_factory=FitOptions)  # how it is fitted
 

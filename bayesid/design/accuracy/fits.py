@@ -19,9 +19,6 @@ from bayesid.regression.row_cache import MotionRows
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
 
-#: How velocities may be derived.
-VELOCITIES = ("smoothed", "central", "forward")
-
 
 @dataclass(frozen=True, repr=False)
 class DifferencedRows(RowModel):

@@ -18,7 +18,6 @@ import numpy as np
 
 from bayesid.design.bounds.region import Region, region_of_draws, region_of_normal, root_of
 from bayesid.dynamics.base_parameters import BaseParameters
-from bayesid.effects import Effect
 from bayesid.errors import InputError
 from bayesid.estimators.factor import channel_grams
 from bayesid.posterior.likelihood import Likelihood, ScalePrior
@@ -65,22 +64,10 @@ def consistent_draws(
     count: int,
     seed: int,
 ) -> LinkDraws:
-    """Links, and the effects that go with them, within an estimate's uncertainty.
+    """So many links, and the effects that go with them, within an estimate's uncertainty and a physical prior of the links.
 
-    Parameters
-    ----------
-    base
-        What the first parameters of the estimate are combinations of.
-    mean, covariance
-        Base parameters, then effects (p,), (p, p).
-    determined
-        Which of them the data say anything of, alone or in sums (p,); effects without stay at their mean.
-    non_negative
-        Which effects cannot be negative (e,).
-    prior
-        Of the links; physical.
-    count, seed
-        How many draws, and of what generator.
+    ``mean`` and ``covariance`` are of base parameters, then effects (p,), (p, p); ``determined`` are those that the data say
+    anything of, alone or in sums (p,), effects without stay at their mean; ``non_negative`` effects cannot be negative (e,).
     """
     rank = base.rank
     effects = np.flatnonzero(determined[rank:])
@@ -139,11 +126,6 @@ class Known:
     def base(self) -> BaseParameters:
         """What the base parameters are combinations of."""
         return self.problem.row_model.base
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """The effects of the model."""
-        return self.problem.row_model.effects
 
     @cached_property
     def open_directions(self) -> np.ndarray:
@@ -236,39 +218,13 @@ def known_from(
     count: int = 1000,
     seed: int = 0,
 ) -> Known:
-    """One form for what a posterior or an estimate says.
+    """One form for what a posterior or an estimate says, as in `Known`.
 
-    Where links were not drawn, links that can exist are drawn about the mean.
-
-    Parameters
-    ----------
-    problem, source, method
-        As in `Known`.
-    mean, covariance
-        Base parameters, then the effects that were estimated (p,), (p, p).
-    undetermined
-        Which of them the data say nothing of, or only in sums with others (p,).
-    draws, link_draws, prior_draws
-        Of the parameters (n, p), of the links behind them (n, P), and of these by the prior alone, where there are any.
-    centre, urdf
-        Links that have the mean for base parameters, and those of ``identified.urdf`` (P,); default the mean of the draws.
-    dynamics
-        As in `Known`.
-    rel_std
-        Relative standard deviation of the nominal links; None: what the experiment says, else next to nothing is known.
-    conflict
-        Whether data and that prior contradict each other: then next to nothing is taken to be known, where none is given.
-    dispersion
-        Factor that the covariance has for what the model lacks.
-    floor
-        Noise of the readings, where something tells it.
-    count, seed
-        Links to draw, and of what generator.
-
-    Raises
-    ------
-    InputError
-        There is no covariance, or nothing is determined.
+    Where links were not drawn, so many that can exist are drawn about the mean. ``draws``, ``link_draws`` and ``prior_draws``
+    are of the parameters (n, p), of the links behind them (n, P), and of these by the prior alone, where there are any;
+    ``centre`` and ``urdf`` are by default the mean of the draws. ``rel_std`` is that of the nominal links; None: what the
+    experiment says, else next to nothing is known, and so it is where data and that prior are in ``conflict``. An `InputError`
+    where there is no covariance, or nothing is determined.
     """
     if covariance is None:
         raise InputError(

@@ -143,7 +143,7 @@ def left_out_effects(known: Known, model: ReadingModel) -> tuple[str, ...]:
     """Effects of the identified model on joint torques that bounds of torques do not hold."""
     held = {drive.effect.spec for drive in model.drives}
     names = model.channels.names
-    return tuple(e.spec for e in known.effects if e.spec not in held and any(e.acts_on(c) for c in names))
+    return tuple(e.spec for e in known.problem.row_model.effects if e.spec not in held and any(e.acts_on(c) for c in names))
 
 
 def _model(

@@ -43,18 +43,9 @@ def tracking_bound(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of every |r_j| and of every joint's error (n,), from rest on the path on.
 
-    Parameters
-    ----------
-    rho, width
-        Of the term in use: radius of its set and width of its boundary layer.
-    gains
-        Diagonal of K (n,) [N m s/rad].
-    rate
-        The factor of e in v_r, the same for all joints [1/s].
-    eigenvalues
-        Smallest and largest eigenvalue of ``K^-1/2 M K^-1/2`` [s].
-    other
-        Largest torques that no parameter explains, by joint (n,) or the same for all [N m].
+    ``rho`` and ``width`` are radius and boundary layer of the term in use, ``gains`` the diagonal of K (n,) [N m s/rad], ``rate``
+    the factor of e in v_r [1/s], ``eigenvalues`` the smallest and largest of ``K^-1/2 M K^-1/2`` [s], and ``other`` the largest
+    torques that no parameter explains, by joint (n,) or the same for all [N m].
     """
     root = np.sqrt(gains)
     force = float(np.linalg.norm(other / root))

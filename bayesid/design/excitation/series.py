@@ -63,27 +63,10 @@ def trigonometric(times: np.ndarray, period: float, harmonics: int) -> list[tupl
 
 
 class Coordinates:
-    """The numbers that an optimiser changes: all of about one size, and every choice of them starts and ends at rest.
+    """The ``count`` numbers that an optimiser changes: all of about one size, and every choice of them starts and ends at rest.
 
-    Attributes
-    ----------
-    times
-        Samples of one period (N,) [s].
-    count
-        How many numbers there are.
-
-    Parameters
-    ----------
-    period, harmonics
-        Of the motion [s].
-    moving
-        Joints that move; the others stay at ``rest``.
-    rest
-        Positions of joints that do not move (n,).
-    reach, speed
-        Half the range and largest speed of each joint (n,): the unit of its coordinates.
-    samples
-        Samples of a period.
+    Joints that are not ``moving`` stay at ``rest`` (n,). Half the range and the largest speed of each joint (n,) are the unit of
+    its coordinates. ``times`` (N,) [s] are so many samples of one period.
     """
 
     def __init__(

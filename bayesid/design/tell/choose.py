@@ -240,14 +240,8 @@ def tell(
     """The motion with the largest `Contest.merit`: of a pool, then of ever smaller changes of the best.
 
     Exact fits check it (`bayesid.design.tell.choose`). Where it then does not decide nearly surely, the same motion for twice as
-    long is checked, unless a length was asked for, and the next best of the pool are.
-
-    Parameters
-    ----------
-    cases
-        The rivals; cases count alike.
-    effort, options, seed
-        As in `tell_search`.
+    long is checked, unless a length was asked for, and the next best of the pool are. Cases count alike; the rest is as in
+    `tell_search`.
     """
     benches = [SeenInstruments.of(case.rivals[0].fit) for case in cases]
     recorded = float(benches[0].like.times[-1] - benches[0].like.times[0])

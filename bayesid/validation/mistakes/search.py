@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -139,34 +139,22 @@ class Tried:
 
 
 class MistakeSearch:
-    """Candidates that were tried on the readings of a channel.
-
-    Attributes
-    ----------
-    null
-        The best robot for the data as they are.
-    worth
-        How many independent samples they are worth.
-    needed
-        Evidence that a mistake needs [nats].
-    doubted
-        Joints whose readings are not explained by the nominal bodies (n,).
-    tried
-        As they were tried, the usual mistakes first.
-    """
+    """Candidates that were tried on the readings of a channel."""
 
     def __init__(self, explainer: Explainer) -> None:
         self.explainer = explainer
         unchanged = explainer.fit()
+        #: How many independent samples the readings are worth.
         self.worth = independent_samples(unchanged[0].residual, explainer.samples.part)
-        self.null = max(unchanged, key=self._score)
-        self.needed = max(NEEDED, self.worth * WORSE)
+        self.null = max(unchanged, key=self._score)  # the best robot for the data as they are
+        self.needed = max(NEEDED, self.worth * WORSE)  # evidence that a mistake needs [nats]
         stated, n = unchanged[-1], explainer.robot.n
         unexplained = (stated.left > _DOUBTED * explainer.variation) & (stated.left > explainer.floor)
+        #: Joints whose readings are not explained by the nominal bodies (n,).
         self.doubted = np.full(n, (stated.left > EXPLAINED * explainer.variation).any())
         if explainer.torque:
             self.doubted[explainer.channels.joint] = unexplained
-        self.tried: list[Tried] = []
+        self.tried: list[Tried] = []  # the usual mistakes first
 
     @property
     def best(self) -> Tried | None:
@@ -203,15 +191,15 @@ class MistakeSearch:
         return fit.score(self.worth)
 
 
-def find_mistakes(experiment: Experiment, unknown: Container[tuple[str, str]] = ()) -> tuple[Mistake, ...]:
+def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
     """Mistakes of signs, orders, units and frames that would explain what no robot can do; usually none.
 
     Gravity, masses, friction and power have signs: a robot that can exist, with friction that brakes, does not explain readings
-    of which one has the wrong sign. Every candidate that is not ``unknown`` (name and place) is undone in turn and the best
-    such robot is fitted to a few hundred low-passed samples; one is named where the data become far more probable by it, and
-    are explained by it. Where they only become more probable, ``not_explained`` says so, without a remedy. Nothing is guessed
-    where a finding about the recording explains its readings (`bayesid.recordings.complaints`), nor what is less probable than
-    that they are late against the motion (`bayesid.validation.mistakes.delay`).
+    of which one has the wrong sign. Every candidate is undone in turn and the best such robot is fitted to a few hundred
+    low-passed samples; one is named where the data become far more probable by it, and are explained by it. Where they only
+    become more probable, ``not_explained`` says so, without a remedy. Nothing is guessed where a finding about the recording
+    explains its readings (`bayesid.recordings.complaints`), nor what is less probable than that they are late against the
+    motion (`bayesid.validation.mistakes.delay`).
     """
     found: list[Mistake] = []
     explained = {channel for finding in experiment.findings for channel in finding.silences}
@@ -221,7 +209,7 @@ def find_mistakes(experiment: Experiment, unknown: Container[tuple[str, str]] = 
                 continue
             try:
                 with np.errstate(over="ignore", invalid="ignore"):
-                    late, guessed = delayed(experiment, channel), _in_channel(experiment, channel, unknown)
+                    late, guessed = delayed(experiment, channel), _in_channel(experiment, channel)
                 if late is not None:
                     guessed = [m for m in guessed if m.evidence > late.evidence]
                     found += [] if any(np.isfinite(m.evidence) for m in guessed) else [late]
@@ -233,13 +221,12 @@ def find_mistakes(experiment: Experiment, unknown: Container[tuple[str, str]] = 
     return tuple({(m.name, m.where): m for m in reversed(found)}.values())[::-1]
 
 
-def _in_channel(experiment: Experiment, channel: str, unknown: Container[tuple[str, str]]) -> list[Mistake]:
+def _in_channel(experiment: Experiment, channel: str) -> list[Mistake]:
     samples = low_passed(experiment, channel)
     if samples is None:
         return []
     explainer = Explainer(experiment.robot, make_channels(experiment, channel), samples)
-    search = searched(experiment, explainer, channel, unknown)
-    return [*_named(experiment, search), *weight_carried(explainer)]
+    return [*_named(experiment, searched(experiment, explainer, channel)), *weight_carried(explainer)]
 
 
 def _named(experiment: Experiment, search: MistakeSearch) -> list[Mistake]:
@@ -262,27 +249,21 @@ def _named(experiment: Experiment, search: MistakeSearch) -> list[Mistake]:
     return [found, *(implausible_size(explainer, change) if found.name in _SIGNS else [])]
 
 
-def searched(
-    experiment: Experiment, explainer: Explainer, channel: str, unknown: Container[tuple[str, str]] = ()
-) -> MistakeSearch:
-    """Every candidate tried that could matter, but for unknown ones."""
-
-    def known(every: Iterable[Candidate]) -> list[Candidate]:
-        return [c for c in every if (c.name, c.where) not in unknown]
-
+def searched(experiment: Experiment, explainer: Explainer, channel: str) -> MistakeSearch:
+    """Every candidate tried that could matter."""
     search = MistakeSearch(explainer)
-    search.try_out(known(candidates(experiment, channel, explainer.samples)))
+    search.try_out(candidates(experiment, channel, explainer.samples))
     if search.worth_going_on:
-        search.try_out(known(_several_signs(search)))
+        search.try_out(_several_signs(search))
     if search.worth_going_on:
-        search.try_out(known(orders(explainer, search.doubted)))
+        search.try_out(orders(explainer, search.doubted))
     if search.worth_going_on:
-        search.try_out(known(other_zeros(explainer, search.worth, search.needed, NEEDED)))
+        search.try_out(other_zeros(explainer, search.worth, search.needed, NEEDED))
     if search.worth_going_on and explainer.torque:
-        search.try_out(known(by_joint(explainer, search.worth)))
+        search.try_out(by_joint(explainer, search.worth))
     if search.worth_going_on:
         mounts = [t.candidate for t in search.tried if t.candidate.name == "gravity_direction" and t is search.best]
-        search.try_out(known(tilted(explainer, [AS_RECORDED, *(c.change for c in mounts)], search.worth)))
+        search.try_out(tilted(explainer, [AS_RECORDED, *(c.change for c in mounts)], search.worth))
     return search
 
 
