@@ -91,8 +91,6 @@ def expect(
     sensor_set: SensorSet,
     noise: ReadingNoise,
     motions: Sequence[Motion | Trajectory],
-    *,
-    effects: Sequence[str] | None = None,
     bandwidth: float | None = None,
 ) -> Expected:
     """What motions would tell if they were read by a sensor set.
@@ -100,10 +98,9 @@ def expect(
     No readings of the experiment are looked at, and its motions need not be those that are asked about. Recorded motions are
     smoothed as for a fit, with ``bandwidth`` [Hz] or one by cross-validation; planned ones have exact states. Static readings
     count where a motion has them, and a static run of the motion's own positions is taken for granted where one is subtracted.
-    ``effects`` are in the model, default the experiment's. An `InputError` where there is no sensor that the set needs, or an
-    effect does not exist.
+    An `InputError` where there is no sensor that the set needs, or an effect of the model does not exist.
     """
-    model, segments = rows_of(experiment, sensor_set, motions, effects=effects, bandwidth=bandwidth)
+    model, segments = rows_of(experiment, sensor_set, motions, bandwidth=bandwidth)
     factor = weighted = np.zeros((model.base.rank + model.extra_columns,) * 2)
     if segments:
         factor, weighted = expected_factors(lambda: make_blocks(model, segments), noise.of(sensor_set))
@@ -118,7 +115,7 @@ def rows_of(
     effects: Sequence[str] | None = None,
     bandwidth: float | None = None,
 ) -> tuple[RowModel, list[Segment]]:
-    """How samples would become rows, and the segments that count; parameters as in `expect`."""
+    """How samples would become rows, and the segments that count; as in `expect`, with the experiment's effects or others."""
     channels = make_channels(experiment, sensor_set.channel)
     segments = [s for k, m in enumerate(motions) for s in _segments(m, sensor_set, len(channels), k)]
     moving = [s for s in segments if not s.poses]

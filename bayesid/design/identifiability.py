@@ -93,17 +93,17 @@ class Shown:
         return np.sqrt(np.diag(self.covariance))
 
 
-def shown(expected: Expected, offset: Sequence[str] = ()) -> Shown:
-    """The combinations that motions determine.
-
-    ``offset`` are effect parameters that are part of the sensor set, as a fitted offset is, and not of the user's model.
-    """
+def shown(expected: Expected) -> Shown:
+    """The combinations that motions determine."""
     whole = expected.base
+    # A fitted offset is part of the sensor set, and not of the user's model.
+    effects = () if expected.row_model is None else expected.row_model.effects
+    offset = [n for e in effects if e.estimated_without_static_run for n in e.column_names]
     own = np.array([n in offset for n in expected.effect_names], bool)
     base = _regrouped(expected, np.ones(len(own), bool))
     full = expected.base_factor @ whole.matrix[:, base.independent]
-    effects = expected.weighted[:, whole.rank :][:, ~expected.hidden[whole.rank :]]
-    rows = np.hstack([expected.weighted[:, : whole.rank] @ whole.matrix[:, base.independent], effects])
+    beside = expected.weighted[:, whole.rank :][:, ~expected.hidden[whole.rank :]]
+    rows = np.hstack([expected.weighted[:, : whole.rank] @ whole.matrix[:, base.independent], beside])
     bare = base if own.all() else _regrouped(expected, own)
     return Shown(base, bare, np.asarray(np.linalg.qr(full, mode="r")), condition_number(rows))
 
@@ -186,11 +186,6 @@ def link_expectations(
 def shows_more(first: str, second: str) -> bool:
     """Whether a class tells more of a parameter than another one."""
     return _ORDER.index(first) < _ORDER.index(second)
-
-
-def of_rank(kind: str, link: LinkExpectation) -> str:
-    """A class by rank alone: ``weak`` is what it would be with less noise."""
-    return kind if kind != WEAK else ALONE if link.of_any_motion == ALONE else COMBINATION
 
 
 def by_body(names: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -285,8 +280,7 @@ def report_of(plan: PlannedMotions, sensor_set: SensorSet, noise: ReadingNoise, 
     """What the motions of a plan show to a sensor set; ``bandwidth`` is that of recorded joint motion [Hz]."""
     experiment = plan.experiment
     expected = expect(experiment, sensor_set, noise, plan.motions, bandwidth=bandwidth)
-    offsets = {n for n, c in experiment.library.classes.items() if c.estimated_without_static_run}
-    found = shown(expected, [n for n in expected.effect_names if n.partition("@")[0] in offsets])
+    found = shown(expected)
     # Poses alone have base parameters of their own; what another motion would show is that of one that moves.
     channels = make_channels(experiment, sensor_set.channel)
     richest = richest_base(experiment.robot, channels, sensor_set)
@@ -362,7 +356,9 @@ def with_differences(plan: PlannedMotions, reports: Sequence[SetReport]) -> tupl
             moved[robot.joint_names[j]] = kinds_of(richest_base(robot, channels, report.sensor_set, held=still))
         links = []
         for k, link in enumerate(report.parameters):
-            own, best = of_rank(link.kind, link), link.of_any_motion
+            best = link.of_any_motion
+            # By rank alone: ``weak`` is what it would be with less noise.
+            own = link.kind if link.kind != WEAK else ALONE if best == ALONE else COMBINATION
             joints = tuple(j for j, kinds in moved.items() if shows_more(kinds[k], own))
             sets = tuple(n for n, kinds in by_set.items() if best and (kind := kinds[k]) and shows_more(kind, best))
             links.append(replace(link, joints=joints, sensor_sets=sets))

@@ -15,7 +15,7 @@ from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.errors import InputError
 from bayesid.estimators.nonlinear import settled
 from bayesid.estimators.weights import learn_weights
-from bayesid.recordings.experiment import Experiment
+from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.readings import has_readings
@@ -77,18 +77,11 @@ class ReadingNoise:
         return {group: _stacked([_group(p, group) for p in parts], readings) for group in ("trajectory", "poses")}
 
 
-def white_noise(
-    robot: Robot,
-    given: Mapping[str, float] | None = None,
-    *,
-    force_std: float | None = None,
-    torque_std: float | None = None,
-) -> ReadingNoise:
+def white_noise(robot: Robot, sensor: Sensor | None = None, given: Mapping[str, float] | None = None) -> ReadingNoise:
     """White noise of one sample of every channel: as given, else of the sensor's data sheet, else an assumed one.
 
     ``given`` are standard deviations by ``force`` [N], ``moment`` [N m], ``torque`` [N m or N] for a kind, or by the channel's
-    name, ``fx`` ... ``mz``, ``tau1`` ...; ``force_std`` [N] and ``torque_std`` [N m] are of the data sheet. An `InputError`
-    where a name is no channel's, or a number is not above zero.
+    name, ``fx`` ... ``mz``, ``tau1`` .... An `InputError` where a name is no channel's, or a number is not above zero.
     """
     given = dict(given or {})
     drives = tuple(f"tau{k + 1}" for k in range(robot.n))
@@ -98,12 +91,13 @@ def white_noise(
         if not (np.isfinite(std) and std > 0):
             raise InputError(f"noise {name} = {std}: give a standard deviation above zero, in the channel's unit")
     effort = np.where(np.isfinite(robot.effort_limit) & (robot.effort_limit > 0), _DRIVE_SHARE * robot.effort_limit, _DRIVE_NOISE)
-    forces = force_std or ASSUMED_FORCE, torque_std or ASSUMED_MOMENT
+    sheet = (None, None) if sensor is None else (sensor.force_std, sensor.torque_std)
+    forces = sheet[0] or ASSUMED_FORCE, sheet[1] or ASSUMED_MOMENT
     wrench = [given.get(n, given.get(_KINDS[k // 3], forces[k // 3])) for k, n in enumerate(WRENCH_NAMES)]
     torque = [given.get(n, given.get("torque", float(e))) for n, e in zip(drives, effort, strict=True)]
     stated = all(any(k in given for k in (n, _KINDS[i // 3])) for i, n in enumerate(WRENCH_NAMES))
     sources = {
-        "wrench": "given" if stated else "data sheet" if force_std and torque_std else "assumed",
+        "wrench": "given" if stated else "data sheet" if all(sheet) else "assumed",
         "torque": "given" if "torque" in given or all(n in given for n in drives) else "assumed",
     }
     return ReadingNoise(_white(wrench), _white(torque), sources)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +13,13 @@ from bayesid.recordings.motion_checks import Timing
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import one_blas_thread
-from bayesid.regression.problem import Problem, prepare
+from bayesid.regression.problem import prepare
 from bayesid.regression.readings import default_channel, make_channels
 from bayesid.results.inspection import InspectedReadings, Inspection, MotionSummary
 from bayesid.signals.smoothing import smooth
 from bayesid.validation.headline import useless
 from bayesid.validation.mistakes.search import find_mistakes
 from bayesid.validation.own_fit import fit_and_predict
-from bayesid.validation.prediction import Prediction
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.warnings import lacks_drives, unpredicted, unusable
 
@@ -72,7 +70,10 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
     progress("signs, frames and units")
     mistakes = find_mistakes(experiment)
     if problem is not None and not mistakes:
-        warnings += _badly_predicted(problem, [p for p in left if not p.fitted])
+        # What `identify` would say of motions that it does not fit and that its model does not predict.
+        unseen = [p for p in left if not p.fitted]
+        no_use = useless(unseen) and lacks_drives(problem)
+        warnings += unusable(problem, unseen, [], takes_effects=False) if no_use else unpredicted(unseen)
     progress("base parameters")
     return Inspection(
         experiment=experiment,
@@ -86,11 +87,6 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
         left=left,
         warnings=experiment.with_findings([*(m.text for m in mistakes), *warnings]),
     )
-
-
-def _badly_predicted(problem: Problem, left: Sequence[Prediction]) -> list[str]:
-    """What `identify` would say of motions that it does not fit and that its model does not predict."""
-    return unusable(problem, left, [], takes_effects=False) if useless(left) and lacks_drives(problem) else unpredicted(left)
 
 
 def sample_noise(table: Table) -> dict[str, float]:

@@ -150,11 +150,8 @@ def as_setup(given: Experiment | Robot | str | Path) -> Experiment:
 
 def _result(plan: Plan, clock: Clock) -> Excitation:
     experiment, information = plan.experiment, plan.task.information
-    sensor = experiment.sensor or Sensor()
-    noise = white_noise(experiment.robot, force_std=sensor.force_std, torque_std=sensor.torque_std)
-    expected = expect(experiment, information.sensor_set, noise, [plan.trajectory])
-    offsets = {name for name, c in experiment.library.classes.items() if c.estimated_without_static_run}
-    found = shown(expected, [n for n in expected.effect_names if n.partition("@")[0] in offsets])
+    noise = white_noise(experiment.robot, experiment.sensor)
+    found = shown(expect(experiment, information.sensor_set, noise, [plan.trajectory]))
     blocks, left_out = scripted_blocks(plan, plan.options.blocks)
     return Excitation(
         name=experiment.name, joint_names=experiment.robot.joint_names, prismatic=experiment.robot.prismatic,

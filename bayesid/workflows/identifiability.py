@@ -168,7 +168,7 @@ def _of_motions(
     bandwidth: float | None, tell: Sequence[str] | None, clock: Clock,
 ) -> Identifiability:  # fmt: skip
     sensor, robot = experiment.sensor, experiment.robot
-    noise = white_noise(robot, given, force_std=sensor and sensor.force_std, torque_std=sensor and sensor.torque_std)
+    noise = white_noise(robot, sensor, given)
     warnings = list(experiment.warnings)
     clock("noise")
     sheet = noise

@@ -32,14 +32,7 @@ from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.urdf_links import missing_rotors, urdf_links
-from bayesid.workflows.warnings import (
-    contradictions,
-    impossible_signs,
-    incomplete,
-    mistaken,
-    of_fit,
-    unusable,
-)
+from bayesid.workflows.warnings import contradictions, impossible_signs, incomplete, mistaken, of_fit, unusable
 
 
 @shows_progress

@@ -122,8 +122,9 @@ def read_recording(
     InputError
         A file cannot be read, a column is not found or could be several, or what is recorded cannot be right.
     """
-    stated = _stated(mapping, dict(columns=columns, units=units, scale=scale, joints=joint_names, shift=shift))
-
+    stated = mapping if isinstance(mapping, ColumnMap) else ColumnMap() if mapping is None else load_column_map(mapping)
+    beside = dict(columns=columns, units=units, scale=scale, joints=joint_names, shift=shift)
+    stated = replace(stated, **{key: {**getattr(stated, key), **more} for key, more in beside.items() if more})
     options = dict(topics=topics, mapped=stated.names(), episodes=episodes)
     given, held_out = _read(source, join_files, **options), _read(validation, join_files, **options)
     if not given:
@@ -180,12 +181,6 @@ def read_recording(
         for label, (recording, files) in zip(names, made, strict=True)
     )
     return Imported(experiment, recordings, tuple(notes))
-
-
-def _stated(mapping: str | Path | ColumnMap | None, beside: Mapping[str, Mapping[str, Any] | None]) -> ColumnMap:
-    """What the user states in a file, with what is stated beside it in its place."""
-    base = mapping if isinstance(mapping, ColumnMap) else ColumnMap() if mapping is None else load_column_map(mapping)
-    return replace(base, **{key: {**getattr(base, key), **more} for key, more in beside.items() if more})
 
 
 def _halves(motion: Motion, share: float) -> list[Motion]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict, Unpack, overload
@@ -23,7 +23,6 @@ from bayesid.posterior.result import PRIOR_DRIVEN, Posterior
 from bayesid.posterior.run import Chains, ConvergenceError, Sampler, choose_engine, run
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
-from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import condition_number
 from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
@@ -222,7 +221,8 @@ def _with_predictions(
         return Posterior(model, result, seed, extra, check)
     others = [m for m in problem.experiment.motions if m.name in problem.segments and m.name not in problem.fitted]
     judges = [m for m in others if m.role == "validation"]
-    blocks = _blocks(problem, [m.name for m in judges])
+    unseen = (problem.segments[m.name] for m in judges)
+    blocks = (b for s in unseen for b in make_blocks(problem.row_model, [part for part in s if not part.poses] or s))
     extra = predictive_groups(posterior, regression.rows.blocks(), regression.rows.pilot(), blocks, regression.channel_names)
     estimate = as_estimate(posterior)
     floor = noise_floor(problem)
@@ -234,11 +234,6 @@ def _with_predictions(
         model, result, seed, extra, check, problem=problem, fitted=fitted, validation=validation, rel_std=rel_std,
         warnings=_warnings(posterior, problem, estimate, validation), seconds=clock.seconds,
     )  # fmt: skip
-
-
-def _blocks(problem: Problem, names: Sequence[str]) -> Iterator[Block]:
-    for name in names:
-        yield from make_blocks(problem.row_model, [r for r in problem.segments[name] if not r.poses] or problem.segments[name])
 
 
 def as_estimate(posterior: Posterior) -> Estimate:

@@ -1,5 +1,7 @@
 """Standard deviations expected before any reading, against Monte-Carlo, fits, and dense algebra."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from bayesid.design.expected import expect, expected_factors, rows_of
 from bayesid.design.reading_noise import SENSOR_SETS, recorded_noise, white_noise
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.errors import InputError
-from bayesid.recordings.experiment import Motion
+from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
 from bayesid.regression.rows import make_blocks
 from bayesid.signals.noise import NoiseModel
@@ -41,7 +43,7 @@ def test_the_factor_is_that_of_every_sample(tmp_path):
     given = {"fx": 0.3, "moment": 0.05, "torque": 2.0, "tau2": 5.0}
     for name in ("wrench", "wrench-offset", "both", "torque"):
         sensor_set = SENSOR_SETS[name]
-        expected = expect(bare, sensor_set, white_noise(bare.robot, given, force_std=0.7), [motion])
+        expected = expect(bare, sensor_set, white_noise(bare.robot, Sensor(force_std=0.7), given), [motion])
         model, _ = rows_of(bare, sensor_set, [motion])
         ends = model.margin
         inside = (motion.times >= ends) & (motion.times <= motion.times[-1] - ends)
@@ -59,8 +61,8 @@ def test_the_factor_is_that_of_every_sample(tmp_path):
 
 def test_two_readings_where_a_static_run_is_subtracted(tmp_path):
     bare, motion, sensor_set = planned("puma", tmp_path)
-    noise = white_noise(bare.robot, GIVEN)
-    double = white_noise(bare.robot, {"force": 0.5 * 2**0.5, "moment": 0.1 * 2**0.5})
+    noise = white_noise(bare.robot, given=GIVEN)
+    double = white_noise(bare.robot, given={"force": 0.5 * 2**0.5, "moment": 0.1 * 2**0.5})
     both, model = expect(bare, sensor_set, noise, [motion]), rows_of(bare, sensor_set, [motion])
     one, _ = expected_factors(lambda: make_blocks(*model), double.of(SENSOR_SETS["wrench"]))
     np.testing.assert_allclose(np.abs(both.factor), np.abs(one), rtol=1e-9, atol=1e-9 * np.abs(one).max())
@@ -92,7 +94,7 @@ def test_effects_in_the_model_count_and_poses_alone_have_their_own_structure(tmp
     bare, motion, _ = planned("ur5", tmp_path)
     noise = white_noise(bare.robot)
     plain = expect(bare, SENSOR_SETS["torque"], noise, [motion])
-    friction = expect(bare, SENSOR_SETS["torque"], noise, [motion], effects=["viscous_friction", "sensor_offset"])
+    friction = expect(replace(bare, effects=("viscous_friction", "sensor_offset")), SENSOR_SETS["torque"], noise, [motion])
     assert friction.effect_names[0] == "viscous_friction@joint1.coefficient" and len(friction.effect_names) == 6
     assert np.all(friction.std[:36] >= plain.std) and np.max(friction.std[:36] / plain.std) > 1.02
     assert friction.base_factor.shape == (36, 36)
@@ -109,8 +111,8 @@ def test_noise_that_cannot_be_is_refused(tmp_path):
     robot = planned("ur5", tmp_path)[0].robot
     for given, said in [({"fz1": 0.1}, "noise 'fz1'"), ({"force": 0.0}, "noise force = 0.0"), ({"tau9": 1.0}, "noise 'tau9'")]:
         with pytest.raises(InputError, match=said):
-            white_noise(robot, given)
-    sheet = white_noise(robot, force_std=0.3, torque_std=0.02)
+            white_noise(robot, given=given)
+    sheet = white_noise(robot, Sensor(force_std=0.3, torque_std=0.02))
     assert sheet.sources == {"wrench": "data sheet", "torque": "assumed"}
     np.testing.assert_allclose(sheet.wrench["trajectory"].std, [0.3] * 3 + [0.02] * 3)
     np.testing.assert_allclose(sheet.torque["poses"].std, [0.75] * 3 + [0.14] * 3)  # 0.5 % of the effort limits

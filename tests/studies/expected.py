@@ -55,7 +55,7 @@ def monte_carlo(name: str, folder: str | Path, draws: int, seed: int = SEED) -> 
     """Errors of identified base parameters (draws, r) over what was expected of them before; and stated over expected."""
     bare, motion, sensor_set = planned(name, folder)
     robot, locked = bare.robot, ARMS[name].locked
-    expected = expect(bare, sensor_set, white_noise(robot, GIVEN), [motion])
+    expected = expect(bare, sensor_set, white_noise(robot, given=GIVEN), [motion])
     assert expected.row_model is not None
     options = FitOptions(bandwidth=expected.row_model.bandwidth)
     still = 0.0 * motion.velocities

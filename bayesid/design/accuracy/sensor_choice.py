@@ -288,7 +288,7 @@ def _outlook(bench: Bench, candidate: CandidateSensor, rel_std: float) -> Outloo
     weigh = _weighting(bench, candidate, len(model.channels))
     factor = reduce_rows(make_blocks(model, segments), lambda b: _combined(weigh, b)[:, :, :-1]).r
     expected = Expected(model.base, model.effect_names, model.effect_units, factor, factor, model, tuple(segments))
-    determined = shown(expected, [n for e in model.effects if e.estimated_without_static_run for n in e.column_names])
+    determined = shown(expected)
     nominal = assumed_links(experiment.robot)
     prior = Prior.warped(nominal, rel_std).covariance
     link_std, prior_std = std_with_prior(determined.factor @ determined.base.matrix, prior)

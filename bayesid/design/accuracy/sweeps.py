@@ -32,10 +32,7 @@ from bayesid.tasks import map_tasks
 FILTERS = (LowPass(1.0, 50.0), LowPass(10.0, 50.0), LowPass(31.0, 63.0))
 #: Slower than this, a motion is not sampled [Hz], and than so many times its bandwidth.
 _SLOWEST_RATE, _RATE_PER_BANDWIDTH = 10.0, 5.0
-_VELOCITIES = {
-    "central": "central differences of the positions",
-    "forward": "forward differences of the positions",
-}
+_VELOCITIES = {"central": "central differences of the positions", "forward": "forward differences of the positions"}
 #: Resamples of the runs that intervals of ratios are taken from.
 _RESAMPLES = 300
 #: Seeds of runs lie this far from those that other parts of the package draw.

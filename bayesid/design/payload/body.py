@@ -79,8 +79,8 @@ class Quantity:
 
     def to_dict(self) -> dict[str, float | str | bool | None]:
         """Plain values for JSON; None where there is no number."""
-        out = {key: _finite(getattr(self, key)) for key in ("value", "std", "low", "high")}
-        return {**out, "unit": self.unit, "shown": self.shown}
+        numbers = {key: float(getattr(self, key)) for key in ("value", "std", "low", "high")}
+        return {**{key: x if isfinite(x) else None for key, x in numbers.items()}, "unit": self.unit, "shown": self.shown}
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +253,3 @@ def about_centre(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         slopes[:, 1 + k] = -six(2.0 * h[k] * np.eye(3) - np.outer(unit, h) - np.outer(h, unit)) / m
     slopes[:, 4:] = np.eye(6)
     return parameters[4:] - six(shift) / m, slopes
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if isfinite(value) else None

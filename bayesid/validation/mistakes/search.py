@@ -47,7 +47,7 @@ def worded(
     ``alike`` are candidates that explain the data as well, each with its robot; the first is named, the others beside it.
     """
     first, fit = alike[0]
-    text = f"{_sentence(first.says)}: with that undone, {_falls(explainer, null, fit)}; {first.remedy}"
+    text = f"{first.says[0].upper()}{first.says[1:]}: with that undone, {_falls(explainer, null, fit)}; {first.remedy}"
     others = [f"{c.says} ({c.remedy})" for c, _ in alike[1 : _LISTED + 1]]
     if others:
         more = f"; or {len(alike) - 1 - _LISTED} more" if len(alike) > _LISTED + 1 else ""
@@ -123,10 +123,6 @@ def _centre(robot: Robot, fit: RobotFit) -> str:
 
 def _vector(values: np.ndarray) -> str:
     return f"({', '.join(f'{v + 0.0:.2f}' for v in values)})"
-
-
-def _sentence(words: str) -> str:
-    return words[0].upper() + words[1:]
 
 
 @dataclass(frozen=True, eq=False)
