@@ -79,23 +79,9 @@ def _states(q, v, a, order, parent, turn, translation, axis, slides, root, out):
 
 
 @lru_cache(maxsize=16)
-def _tables(holder: _RobotKey):
-    robot = holder.robot
+def _tables(robot: Robot):
     parent = np.where(robot.parent < 0, robot.n, robot.parent)
     return chain(robot.order, parent, robot.rotation, np.array(robot.translation), robot.axis, robot.prismatic)
-
-
-class _RobotKey:
-    """A robot as the key of its tables: equal for robots that hold the same."""
-
-    def __init__(self, robot: Robot):
-        self.robot = robot
-
-    def __hash__(self):
-        return hash(self.robot.fingerprint)
-
-    def __eq__(self, other):
-        return isinstance(other, _RobotKey) and self.robot.fingerprint == other.robot.fingerprint
 
 
 def link_states(
@@ -108,7 +94,7 @@ def link_states(
     q, v, a = (kernel_input(x) for x in (positions, velocities, accelerations))
     out = np.empty((len(q), robot.n + 1, WIDTH))
     held = kernel_input(np.zeros((0, 18)) if root is None else root)
-    _states(q, v, a, *_tables(_RobotKey(robot)), held, out)
+    _states(q, v, a, *_tables(robot), held, out)
     return out
 
 
@@ -190,7 +176,7 @@ def readings_of_bodies(
     q, v, a = (kernel_input(x) for x in motion)
     out = np.empty((len(q), len(channels)))
     twists = channels.joint, root_twists(channels), np.full(len(channels), -1)
-    chained = *_tables(_RobotKey(robot)), np.array(gravity, float)
+    chained = *_tables(robot), np.array(gravity, float)
     add_up_readings(q, v, a, *chained, *twists, carries, row_of, kernel_input(links), out)
     return out
 

@@ -60,38 +60,19 @@ def _amplitudes(held: np.ndarray, away: np.ndarray | float, values: np.ndarray) 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of an effect.
+    """One parameter of an effect."""
 
-    Attributes
-    ----------
-    name, unit
-        As in the experiment format; the unit for a turning joint, see `Effect.units`.
-    lower, upper
-        Range outside which a value is not plausible.
-    start
-        Value from which an estimate starts and that stands where none is given.
-    typical
-        A plausible size, unless the effect says it for the robot at hand (`Effect.typical`).
-    linear
-        Whether the readings are linear in it; otherwise it is called a shape parameter.
-    step
-        Step of central differences; relative to the value where that is larger.
-    tried
-        Values of a shape parameter that a search for effects tries; default the start.
-    sliding
-        The unit for a sliding joint, where it is not that of `Effect.units`.
-    """
-
-    name: str
-    unit: str = "1"
+    name: str  # as in the experiment format
+    unit: str = "1"  # as there; for a turning joint, see `Effect.units`
+    #: Range outside which a value is not plausible.
     lower: float = -inf
     upper: float = inf
-    start: float = 0.0
-    typical: float = 1.0
-    linear: bool = True
-    step: float = 1e-4
-    tried: tuple[float, ...] = ()
-    sliding: str | None = None
+    start: float = 0.0  # value from which an estimate starts and that stands where none is given
+    typical: float = 1.0  # a plausible size, unless the effect says it for the robot at hand (`Effect.typical`)
+    linear: bool = True  # whether the readings are linear in it; otherwise it is called a shape parameter
+    step: float = 1e-4  # of central differences; relative to the value where that is larger
+    tried: tuple[float, ...] = ()  # values of a shape parameter that a search for effects tries; default the start
+    sliding: str | None = None  # the unit for a sliding joint, where it is not that of `Effect.units`
 
 
 #: Units along a sliding joint by those about a turning one.
@@ -105,126 +86,61 @@ Derived = tuple[str, float, float, str]
 
 @dataclass(frozen=True)
 class Effect(ABC):
-    """An effect at its place. To add one, derive a class from one of `bayesid.effects.families` and register it.
+    """An effect at its place. To add one, derive a class from one of `bayesid.effects.families` and register it."""
 
-    Attributes
-    ----------
-    where
-        As in the experiment format; joints as ``joint1`` ... ``jointn``.
-    joint
-        Index of the joint, None where it acts elsewhere.
-    axes
-        Indices of the wrench axes: the one that reads, or source and reading axis.
-    ratio
-        Gear ratio of the joint, where it is known and the effect needs it.
-    driver
-        Index of the joint whose motion turns this one's motor, too, where the effect couples two.
-    slides
-        Whether the joint slides.
+    where: str  # as in the experiment format; joints as ``joint1`` ... ``jointn``
+    joint: int | None = None  # index of the joint, None where it acts elsewhere
+    axes: tuple[int, ...] = ()  # indices of the wrench axes: the one that reads, or source and reading axis
+    ratio: float | None = None  # gear ratio of the joint, where it is known and the effect needs it
+    driver: int | None = None  # index of the joint whose motion turns this one's motor, too, where the effect couples two
+    slides: bool = False  # whether the joint slides
 
-    name
-        As in the experiment format.
-    channels
-        ``wrench``, ``torque`` or both: what it changes.
-    at
-        Where it can be: ``sensor``, ``axis``, ``axis->axis``, ``base``, ``joint``, ``joint->joint``, ``robot`` or
-        ``joint|robot``.
-    quantities
-        Its parameters.
-    summary
-        What it is, a few words.
-    equation, source
-        For the documentation: what it reads or adds (Markdown with TeX), and where the equation comes from.
-    confusable_with
-        Names of effects that some motions cannot tell from it.
-    removed_by_static_run
-        Whether a static run of the same positions takes it away, so that such rows do not show it.
-    estimated_without_static_run
-        Whether it is in every model of readings that no static run is subtracted from.
-    absorbs_weight
-        Whether its estimate holds the weight that looks like it as well.
-    always_the_same
-        Whether `motion_columns` are the same at all times, whatever the motion; a class that inherits it must keep to it.
-    column_in_time
-        How its column is made where regressors are interpolated in time (`bayesid.regression.rows`): ``interpolated`` as they
-        are, where rigid bodies' columns can add up to it; ``sampled`` where they cannot; empty where neither is known, and then
-        nothing is interpolated. A class does not inherit it, for its column may be another.
-    zero_unless_stated
-        Whether parameters left out are zero once any is stated.
-    needs_gear_ratio
-        Whether it wants to know its joint's gear ratio.
-    settling
-        Time that it is given at the start of a recording that does not start at rest to forget how it was set off [s].
-    amplifies_encoder_errors
-        Whether it differentiates a load again; encoders' errors pass through it much enlarged.
-    reverses_at_once
-        Whether it jumps where the joint's motion reverses.
-    once
-        Whether it happens once, in one recording.
-    single
-        Whether only one of its kind is sought: with a place and a shape to find, two can imitate one that settled wrongly.
-    instead_of
-        Names of effects beside which it is not sought at the same place, nor they beside it: descriptions of one thing.
-    changes_link
-        Whether it is a change of a whole link.
-    columns_of
-        Name of an effect that has the same columns, which is sought in its stead.
-    may_be
-        Name of an effect that it is called where its values are possible for that.
-    only_joint
-        Index of the one joint that it can be at, where it cannot be at all.
-    along_joint
-        Whether its parameters are in units of its joint's position and force.
-    harmonics
-        Numbers of periods per radian or metre, where it is a sine of the joint's position; these are tried.
-    wanders
-        Whether its values change from day to day, with temperature, load and grease, without anything having changed.
-    last_resort
-        Whether values are tried exactly (`trials`) only where columns leave something unexplained.
-    restarts
-        Factors on its first value, from which a fit that leaves something unexplained is started again.
-    urdf_dynamics
-        Attribute of a URDF joint's ``<dynamics>`` that its first parameter is, if there is one.
-    """
-
-    where: str
-    joint: int | None = None
-    axes: tuple[int, ...] = ()
-    ratio: float | None = None
-    driver: int | None = None
-    slides: bool = False
-
-    name: ClassVar[str] = ""
-    channels: ClassVar[tuple[str, ...]] = ("wrench", "torque")
+    name: ClassVar[str] = ""  # as in the experiment format
+    channels: ClassVar[tuple[str, ...]] = ("wrench", "torque")  # both or one: what it changes
+    #: Where it can be: ``sensor``, ``axis``, ``axis->axis``, ``base``, ``joint``, ``joint->joint``, ``robot`` or ``joint|robot``.
     at: ClassVar[str] = "robot"
-    quantities: ClassVar[tuple[Parameter, ...]] = ()
-    summary: ClassVar[str] = ""
-    equation: ClassVar[str] = ""
-    source: ClassVar[str] = "definition"
-    confusable_with: ClassVar[tuple[str, ...]] = ()
+    quantities: ClassVar[tuple[Parameter, ...]] = ()  # its parameters
+    summary: ClassVar[str] = ""  # what it is, a few words
+    equation: ClassVar[str] = ""  # for the documentation: what it reads or adds (Markdown with TeX)
+    source: ClassVar[str] = "definition"  # where the equation comes from
+    confusable_with: ClassVar[tuple[str, ...]] = ()  # names of effects that some motions cannot tell from it
 
+    #: Whether a static run of the same positions takes it away, so that such rows do not show it.
     removed_by_static_run: ClassVar[bool] = False
+    #: Whether it is in every model of readings that no static run is subtracted from.
     estimated_without_static_run: ClassVar[bool] = False
-    absorbs_weight: ClassVar[bool] = False
+    absorbs_weight: ClassVar[bool] = False  # whether its estimate holds the weight that looks like it as well
+    #: Whether `motion_columns` are the same at all times, whatever the motion; a class that inherits it must keep to it.
     always_the_same: ClassVar[bool] = False
+    #: How its column is made where regressors are interpolated in time (`bayesid.regression.rows`): ``interpolated`` as they are,
+    #: where rigid bodies' columns can add up to it; ``sampled`` where they cannot; empty where neither is known, and then nothing
+    #: is interpolated. A class does not inherit it, for its column may be another.
     column_in_time: ClassVar[Literal["", "interpolated", "sampled"]] = ""
-    zero_unless_stated: ClassVar[bool] = False
-    needs_gear_ratio: ClassVar[bool] = False
+    zero_unless_stated: ClassVar[bool] = False  # whether parameters left out are zero once any is stated
+    needs_gear_ratio: ClassVar[bool] = False  # whether it wants to know its joint's gear ratio
+    #: Time that it is given at the start of a recording that does not start at rest to forget how it was set off [s].
     settling: ClassVar[float] = 0.0
+    #: Whether it differentiates a load again; encoders' errors pass through it much enlarged.
     amplifies_encoder_errors: ClassVar[bool] = False
-    reverses_at_once: ClassVar[bool] = False
-    once: ClassVar[bool] = False
+    reverses_at_once: ClassVar[bool] = False  # whether it jumps where the joint's motion reverses
+    once: ClassVar[bool] = False  # whether it happens once, in one recording
+    #: Whether only one of its kind is sought: with a place and a shape to find, two can imitate one that settled wrongly.
     single: ClassVar[bool] = False
+    #: Names of effects beside which it is not sought at the same place, nor they beside it: descriptions of one thing.
     instead_of: ClassVar[tuple[str, ...]] = ()
-    changes_link: ClassVar[bool] = False
-    columns_of: ClassVar[str | None] = None
-    may_be: ClassVar[str | None] = None
-    only_joint: ClassVar[int | None] = None
-    along_joint: ClassVar[bool] = False
+    changes_link: ClassVar[bool] = False  # whether it is a change of a whole link
+    columns_of: ClassVar[str | None] = None  # name of an effect that has the same columns, which is sought in its stead
+    may_be: ClassVar[str | None] = None  # name of an effect that it is called where its values are possible for that
+    only_joint: ClassVar[int | None] = None  # index of the one joint that it can be at, where it cannot be at all
+    along_joint: ClassVar[bool] = False  # whether its parameters are in units of its joint's position and force
+    #: Numbers of periods per radian or metre, where it is a sine of the joint's position; these are tried.
     harmonics: ClassVar[tuple[float, ...]] = ()
+    #: Whether its values change from day to day, with temperature, load and grease, without anything having changed.
     wanders: ClassVar[bool] = False
-    last_resort: ClassVar[bool] = False
+    last_resort: ClassVar[bool] = False  # whether `trials` are made only where columns leave something unexplained
+    #: Factors on its first value, from which a fit that leaves something unexplained is started again.
     restarts: ClassVar[tuple[float, ...]] = ()
+    #: Attribute of a URDF joint's ``<dynamics>`` that its first parameter is, if there is one.
     urdf_dynamics: ClassVar[str | None] = None
 
     # Made from `quantities`, one entry a parameter.

@@ -86,7 +86,8 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
             at = body_of(model.robot, effect.joint)
             rows, carried = model.row_of[at : at + 1], model.carries[:, at : at + 1]
             unit = link_columns(model.states, model.twists, rows, carried, model.gravity)
-            out = tangent(model, unit if effect.is_ten_parameters else unit @ differences(effect, values, effect.body))
+            ten = type(effect).body is families.BodyEffect.body  # its parameters are the body's own
+            out = tangent(model, unit if ten else unit @ differences(effect, values, effect.body))
         case families.RotorEffect():
             unit = model.rotor_reading(model.channels, model.carries, model.states, model.twists, effect)
             share = differences(effect, values, lambda v: np.array(effect.inertia(v)))

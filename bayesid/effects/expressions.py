@@ -29,18 +29,11 @@ _READING = re.compile(r"tau([1-9][0-9]{0,3})?|[fm][xyz]")
 
 
 class ExpressionEffect(ReadingEffect):
-    """Formulas on top of readings; `expression_effect` makes a class of them.
+    """Formulas on top of readings; `expression_effect` makes a class of them."""
 
-    Attributes
-    ----------
-    formulas
-        By the reading that they add to: ``tau`` (of the effect's own joint), ``tau1`` ..., ``fx`` ... ``mz``.
-    table
-        As it stands in the file.
-    """
-
+    #: By the reading that they add to: ``tau`` (of the effect's own joint), ``tau1`` ..., ``fx`` ... ``mz``.
     formulas: ClassVar[dict[str, Formula]] = {}
-    table: ClassVar[dict[str, Any]] = {}
+    table: ClassVar[dict[str, Any]] = {}  # as it stands in the file
 
     def added(self, readout: Readout, values: Sequence[float]) -> np.ndarray:
         """What the formulas say (N, c)."""

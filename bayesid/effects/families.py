@@ -35,26 +35,15 @@ Loads = list[tuple[int, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
-    """What happens at one joint.
+    """What happens at one joint."""
 
-    Attributes
-    ----------
-    time
-        (N,) [s].
-    position, velocity, acceleration
-        Of the motor's side (N,).
-    link_torque
-        Torque that moves and carries the links (N,); None for effects that do not say ``uses_load``.
-    cell
-        Time that a sample stands for [s].
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # (N,) [s]
+    #: Of the motor's side (N,).
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray
-    link_torque: np.ndarray | None
-    cell: float
+    link_torque: np.ndarray | None  # that moves and carries the links (N,); None for effects that do not say ``uses_load``
+    cell: float  # time that a sample stands for [s]
 
     @property
     def load(self) -> np.ndarray:
@@ -80,26 +69,15 @@ class JointMotion:
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    """What the instruments are given to read.
+    """What the instruments are given to read."""
 
-    Attributes
-    ----------
-    names
-        Of the channels (c,).
-    segment
-        The recording's motion.
-    positions, velocities, accelerations
-        Of the motors (N, n).
-    true
-        True wrench and what the motors give for the joints' torques (N, c).
-    """
-
-    names: tuple[str, ...]
-    segment: MotionSegment
+    names: tuple[str, ...]  # of the channels (c,)
+    segment: MotionSegment  # the recording's motion
+    #: Of the motors (N, n).
     positions: np.ndarray
     velocities: np.ndarray
     accelerations: np.ndarray
-    true: np.ndarray
+    true: np.ndarray  # true wrench and what the motors give for the joints' torques (N, c)
 
 
 def differences(effect: Effect, values: Sequence[float], reading: Callable[[tuple[float, ...]], np.ndarray]) -> np.ndarray:
@@ -197,11 +175,6 @@ class BodyEffect(Effect):
         """Ten parameters in the joint's frame (10,); unless the class says otherwise, those of the effect."""
         return np.array(values, float)
 
-    @property
-    def is_ten_parameters(self) -> bool:
-        """Whether the effect's parameters are the body's."""
-        return type(self).body is BodyEffect.body
-
 
 class GravityEffect(Effect):
     """Gravity is not what is stated."""
@@ -220,17 +193,7 @@ class LoadEffect(Effect):
 
     @abstractmethod
     def loads(self, robot: Robot, segment: MotionSegment, states: np.ndarray, values: Sequence[float]) -> Loads:
-        """Wrenches on bodies about the base origin.
-
-        Parameters
-        ----------
-        robot, segment
-            What moves, and when.
-        states
-            Of the links (N, n + 1, 24), see `bayesid.dynamics.kinematics`.
-        values
-            Of the parameters (k,).
-        """
+        """Wrenches on bodies about the base origin, by states of the links (N, n + 1, 24), see `bayesid.dynamics.kinematics`."""
 
     def load_columns(self, robot: Robot, segment: MotionSegment, states: np.ndarray, values: Sequence[float]) -> Loads:
         """Derivatives of `loads` with respect to the parameters, (N, 6, k) each; a class may have them in closed form."""

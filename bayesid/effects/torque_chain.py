@@ -28,17 +28,6 @@ def coupling_matrix(robot: Robot, coupled: Sequence[tuple[TransmissionEffect, Se
     return out
 
 
-def motor_torques(transmission: np.ndarray, order: Sequence[int], true: np.ndarray) -> np.ndarray:
-    """Readings (N, c, ...), or changes of them, with what the motors give for the joints' torques.
-
-    ``transmission`` is from the motors' positions to the joints', (1 + C)^-1 (n, n), and ``order`` the channel of each joint's
-    torque (n,).
-    """
-    out = np.array(true)
-    out[:, order] = np.einsum("kj,nk...->nj...", transmission, true[:, order])
-    return out
-
-
 @dataclass(frozen=True, eq=False)
 class TorqueChain:
     """Steps from the joints' torques to readings, in channels of which some are torques."""
@@ -74,7 +63,9 @@ class TorqueChain:
         """True wrench and joint torques, or changes of them (N, c, ...), with what the motors give for the torques instead."""
         if self.transmission is None or not self.joints:
             return true
-        return motor_torques(self.transmission, [self.joints[j] for j in range(len(self.transmission))], true)
+        out, order = np.array(true), [self.joints[j] for j in range(len(self.transmission))]
+        out[:, order] = np.einsum("kj,nk...->nj...", self.transmission, true[:, order])
+        return out
 
     def late(self, segment: MotionSegment, values: np.ndarray) -> np.ndarray:
         """What the channels' smooth values (N, c, ...) were at the times that torques are read for."""

@@ -134,7 +134,7 @@ def _frame_descends(model, frame: int, ancestor: int) -> bool:
 _STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Robot:
     """Kinematics and nominal inertias of a tree of ``n`` one-degree-of-freedom joints on a fixed root.
 

@@ -19,8 +19,7 @@ from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.importing.clock import lag
 from bayesid.recordings.importing.column_map import ColumnMap, load_column_map
 from bayesid.recordings.importing.found_columns import currents
-from bayesid.recordings.importing.reader import joined, read_source
-from bayesid.recordings.importing.recording import Recording, make_recording
+from bayesid.recordings.importing.recording import Recording, joined_files, make_recording, read_source
 from bayesid.recordings.importing.signals import Signal
 from bayesid.recordings.importing.stream import Source
 from bayesid.recordings.robot_section import robot_doubts, with_stated_effects
@@ -230,7 +229,7 @@ def _read(paths: _Paths, join_files: bool, **options: Any) -> list[tuple[Source,
     files = [Path(paths)] if isinstance(paths, (str, Path)) else [Path(path) for path in paths]
     sources = [(one, (path.name,)) for path in files for one in read_source(path, **options)]
     if join_files and len(sources) > 1:
-        return [(joined([one for one, _ in sources]), tuple(path.name for path in files))]
+        return [(joined_files([one for one, _ in sources]), tuple(path.name for path in files))]
     return sources
 
 

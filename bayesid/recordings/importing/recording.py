@@ -1,8 +1,8 @@
-"""One recording of another tool: its columns found, converted, and brought to common times."""
+"""One recording of another tool: read, its columns found, converted, and brought to common times."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,18 +12,76 @@ import numpy as np
 from bayesid.arguments import argument, call
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed
+from bayesid.recordings.importing.arrays import read_hdf5, read_mat, read_npz
+from bayesid.recordings.importing.bags import read_bag
 from bayesid.recordings.importing.clock import RowTimes, table_clock, topic_clock
 from bayesid.recordings.importing.column_map import ColumnMap
 from bayesid.recordings.importing.found_columns import Layout, find_columns, positions_of, time_column
-from bayesid.recordings.importing.reader import read_source
 from bayesid.recordings.importing.signals import Signal, make_signals, resting
-from bayesid.recordings.importing.stream import Source, Stream
+from bayesid.recordings.importing.stream import Source, Stream, kind_of
+from bayesid.recordings.importing.tables import read_csv, read_lerobot, read_parquet
 from bayesid.recordings.table import GAP, JOINT_GROUPS, WRENCH_COLUMNS, Table
 
 #: A topic that is this many times as fast as the rows is averaged over a row's step, so that no noise is folded down.
 _FASTER = 1.5
 _ALIKE = 1.1  # rates that count as equal
 _READINGS = ("tau", "wrench")
+_ARRAYS = {"numpy": read_npz, "mat": read_mat, "hdf5": read_hdf5}
+
+
+def read_source(
+    path: str | Path, topics: Sequence[str] = (), mapped: Iterable[str] = (), episodes: Sequence[int] = ()
+) -> tuple[Source, ...]:
+    """Read a bag, an MCAP file, a table, an archive of arrays, or a data set of LeRobot: the recordings in it, as they are.
+
+    Of a bag ``topics`` are read, and those of columns that are ``mapped``; of a data set its ``episodes``, default all. An
+    `InputError` where it is not there, of an unknown kind, or damaged.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError("no such file or folder", file=str(path), remedy="give a recording")
+    kind = kind_of(path)
+    try:
+        if kind == "lerobot":
+            return read_lerobot(path, episodes)
+        if kind == "bag":
+            return (read_bag(path, topics, mapped),)
+        if kind in _ARRAYS:
+            return (Source(path.stem, _ARRAYS[kind](path)),)
+        if kind in ("parquet", "text"):
+            return (Source(path.stem, (read_parquet(path) if kind == "parquet" else read_csv(path),)),)
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror or error})", file=path.name, remedy="give a readable file") from None
+    what, remedy = (
+        f'files "{path.suffix}" are not known',
+        "give a ROS bag, MCAP, CSV, Parquet, NPZ, MAT, HDF5 or a LeRobot data set",
+    )
+    if kind == "pickle":
+        what, remedy = "is a pickle, which could run anything when it is read", "save arrays as .npz or CSV"
+    elif path.is_dir():
+        what = "folder holds no metadata.yaml, .mcap, .db3 or meta/info.json"
+    raise InputError(what, file=path.name, remedy=remedy)
+
+
+def joined_files(sources: Sequence[Source]) -> Source:
+    """Several files that are parts of one recording: topics and tables with the same columns one after the other.
+
+    Tables with other columns have the names of their files before those of their columns.
+    """
+    groups: dict[tuple[str, frozenset[str], frozenset[str]], list[tuple[str, Stream]]] = {}
+    for source in sources:
+        for stream in source.streams:
+            key = (stream.name, frozenset(stream.columns), frozenset(stream.clocks))
+            groups.setdefault(key, []).append((source.name, stream))
+    tables = sum(not name for name, _, _ in groups)
+    streams = []
+    for (name, _, _), parts in groups.items():
+        (file, first), *_ = parts
+        columns = {c: np.concatenate([stream.columns[c] for _, stream in parts]) for c in first.columns}
+        clocks = {c: np.concatenate([stream.clocks[c] for _, stream in parts]) for c in first.clocks}
+        streams.append(replace(first, name=name or (file if tables > 1 else ""), columns=columns, clocks=clocks))
+    unread = dict.fromkeys(topic for source in sources for topic in source.unread)
+    return Source(sources[0].name, tuple(streams), tuple(unread))
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +106,12 @@ def join(signals: Sequence[Signal], source: str) -> Joined:
         raise InputError("has a single row", file=source, remedy="give a recording of many")
     slowest = max(s.step for s in candidates)
     base = next(s for s in sorted(candidates, key=lambda s: s.quantity not in _READINGS) if s.step * _ALIKE >= slowest)
-    shared = [_same_times(s, base) for s in signals]
     inside = np.ones(len(base.times), bool)
     columns: dict[str, list[np.ndarray]] = {}
     ours: dict[str, tuple[str, ...]] = {}
     how = []
-    for signal, same in zip(signals, shared, strict=True):
-        if same:
+    for signal in signals:
+        if np.array_equal(signal.times, base.times, equal_nan=True):
             values = signal.values
         else:
             values, there, text = _brought(signal, base)
@@ -71,10 +128,6 @@ def join(signals: Sequence[Signal], source: str) -> Joined:
         how.append(f"{left} of {len(inside)} rows are left out, in which a topic has a gap, has not begun or has ended")
     values = {quantity: np.column_stack(parts)[inside] for quantity, parts in columns.items()}
     return Joined(base.times[inside], values, ours, base, tuple(how))
-
-
-def _same_times(one: Signal, other: Signal) -> bool:
-    return len(one.times) == len(other.times) and np.array_equal(one.times, other.times, equal_nan=True)
 
 
 def _brought(signal: Signal, base: Signal) -> tuple[np.ndarray, np.ndarray, str]:
