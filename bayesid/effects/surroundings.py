@@ -22,20 +22,13 @@ def surroundings_of(
     static_run: bool, links_known: bool,
 ) -> Surroundings:  # fmt: skip
     """What effects may want to know of some motions; ``links`` are ten parameters a body (10 b,), for what joints feel."""
+    states = (link_states(robot, t.positions, t.velocities, t.accelerations)[:, : robot.n] for t in trajectories)
     return Surroundings(
-        robot=robot, mean_places=mean_places(robot, trajectories), joint_inertia=joint_inertia(robot, trajectories[0], links),
-        moving=moving(robot, trajectories), links_known=links_known, both_channels=channel == "both", static_run=static_run,
+        robot=robot, mean_places=np.mean([x[:, :, P : P + 3].mean(axis=0) for x in states], axis=0),
+        joint_inertia=joint_inertia(robot, trajectories[0], links), moving=moving(robot, trajectories), links_known=links_known,
+        both_channels=channel == "both", static_run=static_run,
         base_sensor=channel != "torque" and sensor_under_base,
     )  # fmt: skip
-
-
-def mean_places(robot: Robot, trajectories: Sequence[MotionSegment]) -> np.ndarray:
-    """Mean position of each link's frame over motions, in the base frame (n, 3) [m]."""
-    means = []
-    for trajectory in trajectories:
-        states = link_states(robot, trajectory.positions, trajectory.velocities, trajectory.accelerations)
-        means.append(states[:, : robot.n, P : P + 3].mean(axis=0))
-    return np.mean(means, axis=0)
 
 
 def moving(robot: Robot, trajectories: Sequence[MotionSegment]) -> np.ndarray:

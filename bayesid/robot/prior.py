@@ -74,26 +74,12 @@ class Prior:
     def warped(cls, links: np.ndarray, rel_std: float, *, physical: bool = True) -> Prior:
         """Bodies that are nominal ones scaled, shifted and warped.
 
-        What a CAD model gets wrong is a body's mass, where its middle is and how it is spread, by a share of its
-        own size, and not ten numbers on their own: a slender link's middle may well lie a good part of its small
-        thickness off its axis, which the pull-back metric of `nominal` takes for almost impossible. The
-        pseudo-inertia becomes ``(1 + s e) T P T'`` with an affine map T near the identity: a shift of the centre of
-        mass by s times the radius of gyration along each axis, and a warp about it with every entry of standard
-        deviation s / 2.
-
-        Parameters
-        ----------
-        links
-            Nominal parameters, ten a body (b, 10) or (10 b,).
-        rel_std
-            The share s, above 0; the relative standard deviation of every mass.
-        physical
-            See the class.
-
-        Raises
-        ------
-        InputError
-            ``rel_std`` is not a positive number, or the links are not ten a body.
+        What a CAD model gets wrong is a body's mass, where its middle is and how it is spread, by a share of its own size, and
+        not ten numbers on their own: a slender link's middle may well lie a good part of its small thickness off its axis, which
+        the pull-back metric of `nominal` takes for almost impossible. The pseudo-inertia becomes ``(1 + s e) T P T'`` with an
+        affine map T near the identity: a shift of the centre of mass by s times the radius of gyration along each axis, and a
+        warp about it with every entry of standard deviation s / 2. Parameters and errors are those of `nominal`; ``rel_std`` is
+        the share s, the relative standard deviation of every mass.
         """
         plain = cls.nominal(links, rel_std, physical=physical)
         precision = np.zeros_like(plain.precision)

@@ -300,7 +300,8 @@ def load_robot(
             lower[i], upper[i], velocity_limit[i], effort_limit[i] = _limits(model, j)
         else:
             anchor[j] = anchor[up]
-            frame[j] = placement * _motion(direction, slides, locked.get(name, 0.0))
+            moved = locked.get(name, 0.0) * direction
+            frame[j] = placement * (pin.SE3(np.eye(3), moved) if slides else pin.SE3(pin.exp3(moved), np.zeros(3)))
         if anchor[j] >= 0:
             merged[anchor[j]] = merged[anchor[j]] + frame[j].act(model.inertias[j])
         else:
@@ -367,12 +368,6 @@ def _axis(urdf: Path, joint, name: str) -> tuple[np.ndarray, bool]:
     subspace = np.asarray(data.S).reshape(6)
     slides = not subspace[3:].any()
     return (subspace[:3] if slides else subspace[3:]), slides
-
-
-def _motion(direction: np.ndarray, slides: bool, position: float):
-    if slides:
-        return pin.SE3(np.eye(3), position * direction)
-    return pin.SE3(pin.exp3(position * direction), np.zeros(3))
 
 
 def _limits(model, j: int) -> tuple[float, float, float, float]:

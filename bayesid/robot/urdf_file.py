@@ -166,7 +166,8 @@ def read_urdf(given: str | Path, folder: Path | None = None) -> UrdfFile:
         file = _checked(ET.tostring(robot.root), path, robot.notes, robot.inside)
         robot.check(file.for_pinocchio(), path.name)
         return file
-    if source.arguments or any(_is_macro(element) for element in root.iter()):
+    namespaces = (element.tag.partition("}")[0] for element in root.iter() if "}" in element.tag)
+    if source.arguments or any("xacro" in namespace for namespace in namespaces):
         data = expand(source)
     return _checked(data, path)
 
@@ -189,10 +190,6 @@ def _checked(data: bytes, path: Path, notes: tuple[str, ...] = (), inside: dict 
 def _plain(element: ET.Element) -> dict[str, str]:
     """Attributes as every parser reads them: values without line breaks."""
     return {key: " ".join(value.split()) if key != "name" else value for key, value in element.attrib.items()}
-
-
-def _is_macro(element: ET.Element) -> bool:
-    return "}" in element.tag and "xacro" in element.tag.partition("}")[0]
 
 
 def _check_namespaces(root: ET.Element, wrong: Wrong) -> None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -89,15 +89,11 @@ class Truth:
             e = term.effect
             listed = {k: {"value": v, "unit": unit} for k, v, unit in zip(e.parameters, term.values, e.units, strict=True)}
             effects.append({"name": e.name, "where": e.where, "parameters": listed})
-
-        def by_body(links):
-            return {name: [float(x) for x in body] for name, body in zip(robot.body_names, links, strict=True)}
-
-        noise = {item.name: getattr(self.recorder, item.name) for item in fields(self.recorder)}
         return {
-            "schema": 1, "seed": self.seed, "effects": effects, "noise": noise,
+            "schema": 1, "seed": self.seed, "effects": effects, "noise": asdict(self.recorder),
             "link_parameter_names": list(robot.parameter_names),
-            "true_links": by_body(self.links), "nominal_links": by_body(robot.nominal),
+            "true_links": dict(zip(robot.body_names, self.links.tolist(), strict=True)),
+            "nominal_links": dict(zip(robot.body_names, robot.nominal.tolist(), strict=True)),
         }  # fmt: skip
 
 

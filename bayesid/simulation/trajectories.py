@@ -264,11 +264,9 @@ def _accelerations(path: Path, joints: int) -> np.ndarray | None:
     import pandas as pd
 
     names = [f"a{j}" for j in range(1, joints + 1)]
-    head = [str(c).strip() for c in pd.read_csv(path, nrows=0, skipinitialspace=True, encoding="utf-8-sig").columns]
-    if not set(names) <= set(head):
+    frame = pd.read_csv(path, skipinitialspace=True, encoding="utf-8-sig").rename(columns=str.strip)
+    if not set(names) <= set(frame.columns):
         return None
-    places = [head.index(name) for name in names]
-    frame = pd.read_csv(path, usecols=places, skipinitialspace=True, encoding="utf-8-sig").rename(columns=str.strip)
     try:
         values = frame[names].to_numpy(np.float64)
     except ValueError:

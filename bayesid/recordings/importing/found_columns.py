@@ -127,6 +127,7 @@ class _Finder:
 
     def __init__(self, streams: Sequence[Stream], stated: ColumnMap, source: str) -> None:
         self.streams, self.stated, self.source = streams, stated, source
+        self.places = [(stream, column) for stream in streams for column in stream.columns]
         self._misstated = partial(InputError, file=stated.file or source)
 
     def of_joints(self, quantity: str, joints: Sequence[str], must: bool = False) -> dict[int, tuple[Stream, str]]:
@@ -146,27 +147,25 @@ class _Finder:
             if not found:
                 raise self._absent(given.replace("{joint}", joints[0]).replace("{0}", "0").replace("{1}", "1"), quantity)
         elif given is not None:
-            names = self._entries(given, quantity) if isinstance(given, str) else list(given)
+            names = self._entries(given, quantity)
             if len(names) != len(joints):
                 problem = f"{len(names)} columns for {len(joints)} joints ({listed(joints, 8)})"
                 remedy = f"name one column a joint, or the joints that these are of ({argument('joints')})"
                 raise self._misstated(problem, key=f"columns {quantity}", value=given, remedy=remedy)
             found = {k: self._must(name, quantity) for k, name in enumerate(names)}
         for k in range(len(joints)):
-            one = columns.get(f"{quantity}{k + 1}")
-            if one is not None:
-                found[k] = self._must(self._text(one, f"{quantity}{k + 1}"), f"{quantity}{k + 1}")
+            if (one := columns.get(f"{quantity}{k + 1}")) is not None:
+                found[k] = self._must(one, f"{quantity}{k + 1}")
         return found
 
     def by_name(self, quantity: str, joints: Sequence[str]) -> dict[int, tuple[Stream, str]]:
         """Columns that hold a joint's name and a word of the quantity."""
         found: dict[int, list[tuple[Stream, str]]] = defaultdict(list)
         names = self.stated.names_of(joints)
-        for stream in self.streams:
-            for column in stream.columns:
-                kind, k = _classified(without_unit(column), names)
-                if kind == quantity:
-                    found[k].append((stream, column))
+        for stream, column in self.places:
+            kind, k = _classified(without_unit(column), names)
+            if kind == quantity:
+                found[k].append((stream, column))
         for k, places in found.items():
             if len(places) > 1:
                 raise self._ambiguous(f"{quantity} of {joints[k]}", [s.full_name(c) for s, c in places])
@@ -178,12 +177,11 @@ class _Finder:
         ``must``: whether another count than that of the joints is refused.
         """
         groups: dict[tuple[int, str], dict[int, tuple[Stream, str]]] = defaultdict(dict)
-        for at, stream in enumerate(self.streams):
-            for column in stream.columns:
-                match = NUMBERED.fullmatch(without_unit(column))
-                word = re.split(r"[/.\s]", match[1].lower())[-1] if match else ""
-                if match and QUANTITY_OF_WORD.get(word) == quantity and not (quantity == "q" and _tokens(match[1]) & _COMMAND):
-                    groups[at, match[1]][int(match[2])] = (stream, column)
+        for stream, column in self.places:
+            match = NUMBERED.fullmatch(without_unit(column))
+            word = re.split(r"[/.\s]", match[1].lower())[-1] if match else ""
+            if match and QUANTITY_OF_WORD.get(word) == quantity and not (quantity == "q" and _tokens(match[1]) & _COMMAND):
+                groups[id(stream), match[1]][int(match[2])] = (stream, column)
         whole = [g for g in groups.values() if sorted(g) in (list(range(len(g))), list(range(1, len(g) + 1)))]
         fitting = [g for g in whole if len(g) == len(joints)]
         if len(fitting) > 1:
@@ -206,12 +204,12 @@ class _Finder:
         for key, axes in AXES.items():
             if (given := columns.get(key)) is None:
                 continue
-            names = self._entries(given, key) if isinstance(given, str) else list(given)
+            names = self._entries(given, key)
             if len(names) != len(axes):
                 remedy = f"name those of {', '.join(axes)}"
                 raise self._misstated(f"{len(names)} columns for {len(axes)}", key=f"columns {key}", value=given, remedy=remedy)
             found |= {axis: self._must(name, key) for axis, name in zip(axes, names, strict=True)}
-        found |= {axis: self._must(self._text(columns[axis], axis), axis) for axis in WRENCH_COLUMNS if axis in columns}
+        found |= {axis: self._must(columns[axis], axis) for axis in WRENCH_COLUMNS if axis in columns}
         if found and (missing := [axis for axis in WRENCH_COLUMNS if axis not in found]):
             problem = f"{', '.join(missing)} are missing although {', '.join(found)} are named"
             raise self._misstated(problem, key="columns", remedy="name all six, or none")
@@ -220,15 +218,14 @@ class _Finder:
     def wrench_by_name(self) -> dict[str, tuple[Stream, str]]:
         """Six columns whose names end as those of forces and moments do, with one beginning."""
         groups: dict[tuple[int, str], dict[str, tuple[Stream, str]]] = defaultdict(dict)
-        for at, stream in enumerate(self.streams):
-            for column in stream.columns:
-                bare = without_unit(column)
-                match = re.search(rf"(?:^|[\s/._]){_AXIS.pattern}$", bare, re.IGNORECASE)
-                if match:
-                    axis = ("f" if match["force"] else "m") + match["axis"].lower()
-                    groups[at, bare[: match.start()]].setdefault(axis, (stream, column))
-                elif (match := re.fullmatch(r"(.*?)(?:wrench|ft)\[([0-5])\]", bare, re.IGNORECASE)) is not None:
-                    groups[at, match[1]].setdefault(WRENCH_COLUMNS[int(match[2])], (stream, column))
+        for stream, column in self.places:
+            bare = without_unit(column)
+            match = re.search(rf"(?:^|[\s/._]){_AXIS.pattern}$", bare, re.IGNORECASE)
+            if match:
+                axis = ("f" if match["force"] else "m") + match["axis"].lower()
+                groups[id(stream), bare[: match.start()]].setdefault(axis, (stream, column))
+            elif (match := re.fullmatch(r"(.*?)(?:wrench|ft)\[([0-5])\]", bare, re.IGNORECASE)) is not None:
+                groups[id(stream), match[1]].setdefault(WRENCH_COLUMNS[int(match[2])], (stream, column))
         whole = [group for group in groups.values() if len(group) == len(WRENCH_COLUMNS)]
         if len(whole) > 1:
             raise self._ambiguous("the wrench", [s.full_name(c) for group in whole for s, c in [group["fx"]]])
@@ -236,7 +233,7 @@ class _Finder:
 
     def what_to_name(self, joints: Sequence[str]) -> str:
         """What would tell where positions are, by what there is."""
-        columns = [s.full_name(column) for s in self.streams for column in s.columns]
+        columns = [s.full_name(column) for s, column in self.places]
         endings = [re.split(r"[/.]", column.lower()) for column in columns]
         names = [re.split(r"[/.]", c)[-2] for c, e in zip(columns, endings, strict=True) if len(e) > 1 and e[-1] == "position"]
         if names:
@@ -248,43 +245,39 @@ class _Finder:
         there = _shown(self.streams, len(joints), "q")
         return f"name their columns ({argument('columns')}, such as {example}); {there}"
 
-    def _entries(self, name: str, key: str) -> list[str]:
-        """Names of the columns of an array, or of a part of it (``state[0:6]``)."""
+    def _entries(self, name: str | Sequence[str], key: str) -> list[str]:
+        """Names of columns as they are listed, or of those of an array, or of a part of it (``state[0:6]``)."""
+        if not isinstance(name, str):
+            return list(name)
         match = re.fullmatch(r"(.+)\[(\d+):(\d+)\]", name)
         if match:
             return [f"{match[1]}[{k}]" for k in range(int(match[2]), min(int(match[3]), int(match[2]) + 1000))]
-        arrays = [
-            (stream, c, c[: c.rfind("[")]) for stream in self.streams for c in stream.columns if re.fullmatch(r".+\[\d+\]", c)
-        ]
+        arrays = [(s, c, c[: c.rfind("[")]) for s, c in self.places if re.fullmatch(r".+\[\d+\]", c)]
         entries = [s.full_name(c) for s, c, array in arrays if s.full_name(array) == name]
         entries = entries or [c for _, c, array in arrays if array == name]
-        entries = entries or [c for stream in self.streams for c in stream.columns if c.startswith(f"{name}/")]
+        entries = entries or [c for _, c in self.places if c.startswith(f"{name}/")]
         if not entries and self._lookup(name) is None:
             raise self._absent(name, key)
         return entries or [name]
 
-    def _text(self, given: str | Sequence[str], key: str) -> str:
-        if isinstance(given, str):
-            return given
-        raise InputError(
-            "several columns for one", file=self.stated.file, key=f"columns {key}", value=given, remedy="name one column"
-        )
-
     def _lookup(self, name: str) -> tuple[Stream, str] | None:
-        places = [(s, c) for s in self.streams for c in s.columns if s.full_name(c) == name]
-        places = places or [(s, c) for s in self.streams for c in s.columns if c == name]
+        places = [(s, c) for s, c in self.places if s.full_name(c) == name]
+        places = places or [(s, c) for s, c in self.places if c == name]
         array = re.fullmatch(r"(.+)\[(\d+)\]", name)
         if not places and array:  # an entry of an array whose entries have names of their own
-            entries = [(s, c) for s in self.streams for c in s.columns if s.full_name(c).startswith(f"{array[1]}/")]
+            entries = [(s, c) for s, c in self.places if s.full_name(c).startswith(f"{array[1]}/")]
             places = entries[int(array[2]) : int(array[2]) + 1]
         if len(places) > 1:
             raise self._ambiguous(name, [s.full_name(c) for s, c in places])
         return places[0] if places else None
 
-    def _must(self, name: str, key: str) -> tuple[Stream, str]:
-        place = self._lookup(name)
-        if place is None:
-            raise self._absent(name, key)
+    def _must(self, given: str | Sequence[str], key: str) -> tuple[Stream, str]:
+        """The one column that is given for one of ours."""
+        if not isinstance(given, str):
+            remedy = "name one column"
+            raise InputError("several columns for one", file=self.stated.file, key=f"columns {key}", value=given, remedy=remedy)
+        if (place := self._lookup(given)) is None:
+            raise self._absent(given, key)
         return place
 
     def _absent(self, name: str, key: str) -> InputError:
