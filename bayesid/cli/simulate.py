@@ -12,8 +12,7 @@ from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import load_setup
 from bayesid.results.files import check_output
-from bayesid.simulation.plant import complete_effects
-from bayesid.simulation.simulation import Recorder, write_simulation
+from bayesid.simulation.simulation import Recorder, complete_effects, write_simulation
 from bayesid.simulation.trajectories import make_trajectories, planned_trajectories
 
 

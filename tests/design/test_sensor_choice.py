@@ -15,7 +15,7 @@ from bayesid.design.accuracy.sensor_choice import CandidateSensor, Outlook, choo
 from bayesid.effects import Term
 from bayesid.errors import InputError
 from bayesid.regression.rows import make_blocks
-from bayesid.simulation.plant import plant_readings
+from bayesid.simulation.simulation import plant_readings
 from tests.design.test_accuracy import bench
 
 A = 0.25  # half the distance of the cells [m]

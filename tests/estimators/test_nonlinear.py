@@ -12,7 +12,7 @@ from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.robot.robot import load_robot
-from bayesid.simulation.plant import complete_effects
+from bayesid.simulation.simulation import complete_effects
 from bayesid.simulation.trajectories import new_trajectories
 from tests.robots import ROBOTS, write
 

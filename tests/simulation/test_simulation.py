@@ -17,8 +17,7 @@ from bayesid.recordings.experiment import load_setup
 from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.robot import inertia
 from bayesid.robot.robot import motion_limits
-from bayesid.simulation.plant import complete_effects, default_values
-from bayesid.simulation.simulation import perturbed_links
+from bayesid.simulation.simulation import complete_effects, default_values, perturbed_links
 from bayesid.simulation.trajectories import new_trajectories, recorded_trajectories
 from bayesid.workflows.demo import demo_experiment, puma_setup
 from tests.robots import ROBOTS, write

@@ -32,8 +32,7 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import Robot, load_robot
-from bayesid.simulation.plant import default_values
-from bayesid.simulation.simulation import Simulation, simulate
+from bayesid.simulation.simulation import Simulation, default_values, simulate
 from bayesid.simulation.trajectories import Trajectory, fourier_trajectory
 from tests.example_robots import puma560_urdf
 from tests.studies.page import BLUE, GREY, STUDIES, STYLE, table, write_numbers, write_page

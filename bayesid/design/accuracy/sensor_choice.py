@@ -40,7 +40,7 @@ from bayesid.regression.segment import Segment
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot, load_robot
 from bayesid.robot.typical import assumed_links
-from bayesid.simulation.plant import plant_readings
+from bayesid.simulation.simulation import plant_readings
 
 KINDS = {
     "base": "force/torque sensor under the base",

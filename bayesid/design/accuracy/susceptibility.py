@@ -29,7 +29,7 @@ from bayesid.regression.regression import Regression
 from bayesid.regression.row_cache import MotionRows
 from bayesid.regression.segment import Segment
 from bayesid.signals.noise import NoiseModel
-from bayesid.simulation.plant import plant_readings
+from bayesid.simulation.simulation import plant_readings
 from bayesid.tasks import map_tasks
 
 #: Fits with weights that were learned from the last one.
