@@ -44,20 +44,11 @@ def on_cluster() -> bool:
 
 @contextlib.contextmanager
 def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterator[None]:
-    """While this lasts, `map_tasks` gives its tasks to processes of this machine or of a running Dask cluster.
+    """While this lasts, `map_tasks` gives its tasks to ``workers`` processes of this machine, or to those of a ``scheduler``.
 
-    Parameters
-    ----------
-    workers
-        Processes on this machine, which end with the context; None or 1: nothing but this process.
-    scheduler
-        Address of a running scheduler, such as ``tcp://10.0.0.1:8786``. Its workers need the same version of bayesid, and
-        files of recordings under the same path.
-
-    Raises
-    ------
-    InputError
-        Both are given, Dask is not installed, or no scheduler answers at the address.
+    None or 1 is nothing but this process. A scheduler is given by its address, such as ``tcp://10.0.0.1:8786``; its workers need
+    the same version of bayesid, and files of recordings under the same path. An `InputError` where both are given, Dask is not
+    installed, or no scheduler answers at the address.
     """
     if workers is not None and workers < 1:
         raise InputError(f"{argument('workers', workers)}: give a number of processes of at least 1")

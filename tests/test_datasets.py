@@ -8,15 +8,17 @@ import re
 import sys
 import threading
 from functools import partial
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import bayesid
+from bayesid import datasets
 from bayesid.cli import main
 from bayesid.datasets import DATASETS, Dataset, RemoteFile
-from bayesid.workflows import public_recordings as recipes
+from tests.dh_robots import UR10_LINKS, UR10E_LINKS, dh_urdf
 from tests.recordings.importing.logs import START, Bag
 from tests.simulated import puma2
 
@@ -76,8 +78,8 @@ def kuka(server, tmp_path, monkeypatch, request):
             tmp_path / f"{name}.npz", times=t[:, None] + 3.0, positions=q, velocities=np.gradient(q, t, axis=0), torques=torques
         )
         files.append(published(server, f"{name}.npz", (tmp_path / f"{name}.npz").read_bytes()))
-    text = recipes.dh_urdf("lwr", [f"lwr_{k}_joint" for k in range(7)], (*recipes.UR10E_LINKS, recipes.UR10E_LINKS[1]))
-    register(monkeypatch, [*files, published(server, "robot.urdf", text.encode())], recipes.kuka_lwr4)
+    text = dh_urdf("lwr", [f"lwr_{k}_joint" for k in range(7)], (*UR10E_LINKS, UR10E_LINKS[1]))
+    register(monkeypatch, [*files, published(server, "robot.urdf", text.encode())], datasets.kuka_lwr4)
     return t, q, torques
 
 
@@ -123,7 +125,7 @@ def test_what_cannot_be_had_is_said_in_one_line(kuka, server, tmp_path, monkeypa
     ) as error:
         bayesid.datasets.fetch("arm", tmp_path / "cache")
     assert "\n" not in str(error.value)
-    register(monkeypatch, [RemoteFile("a", "http://127.0.0.1:9/a", 64 * "0", 1)], recipes.kuka_lwr4)
+    register(monkeypatch, [RemoteFile("a", "http://127.0.0.1:9/a", 64 * "0", 1)], datasets.kuka_lwr4)
     with pytest.raises(bayesid.InputError, match="127.0.0.1:9/a cannot be fetched"):
         bayesid.datasets.fetch("arm", tmp_path / "cache")
     with pytest.raises(bayesid.InputError, match='amr: no such data set; did you mean "arm"'):
@@ -178,10 +180,8 @@ def test_the_med7s_sign_is_turned(tmp_path):
     t, q, torques = motion(7, 100)
     head = ",".join(f"{kind}_{k}" for kind in ("q", "tau") for k in range(7))
     np.savetxt(tmp_path / "m.csv", np.hstack([q, torques]), delimiter=",", header=head, comments="")
-    (tmp_path / "robot.urdf").write_text(
-        recipes.dh_urdf("m", [f"A{k}" for k in range(1, 8)], (*recipes.UR10E_LINKS, recipes.UR10E_LINKS[1]))
-    )
-    made = recipes.med7({"measurements.csv": tmp_path / "m.csv", "robot.urdf": tmp_path / "robot.urdf"})
+    (tmp_path / "robot.urdf").write_text(dh_urdf("m", [f"A{k}" for k in range(1, 8)], (*UR10E_LINKS, UR10E_LINKS[1])))
+    made = datasets.med7({"measurements.csv": tmp_path / "m.csv", "robot.urdf": tmp_path / "robot.urdf"})
     np.testing.assert_allclose(made["validation"].table.torques, -torques[70:])
     np.testing.assert_allclose(made["validation"].table.times, 0.01 * np.arange(70, 100))
     np.testing.assert_allclose(made["identification"].table.positions, q[:70])
@@ -193,8 +193,8 @@ def test_motors_of_the_tx40_are_joints_over_gears(tmp_path):
     ratio = np.array([32, 32, 45, -48, 45, 32])
     for name, values in (("positions", q), ("torques", torques)):
         np.savetxt(tmp_path / f"{name}.csv", values, delimiter=",", header="a", comments="")
-    (tmp_path / "robot.urdf").write_text(recipes.dh_urdf("t", [f"joint_{k}" for k in range(1, 7)], recipes.UR10E_LINKS))
-    made = recipes.tx40({name: tmp_path / name for name in ("robot.urdf", "positions.csv", "torques.csv")})
+    (tmp_path / "robot.urdf").write_text(dh_urdf("t", [f"joint_{k}" for k in range(1, 7)], UR10E_LINKS))
+    made = datasets.tx40({name: tmp_path / name for name in ("robot.urdf", "positions.csv", "torques.csv")})
     table = made["identification"].table
     np.testing.assert_allclose(np.diff(table.times), 0.002)
     turned = table.positions - np.array([0, -np.pi / 2, np.pi / 2, 0, 0, 0])
@@ -203,14 +203,20 @@ def test_motors_of_the_tx40_are_joints_over_gears(tmp_path):
     assert made["validation"].table.times[-1] == pytest.approx(7.5989)
 
 
+def test_robots_in_the_package_are_those_of_the_makers_tables():
+    made = {"ur10": ([f"joint{k}" for k in range(1, 7)], UR10_LINKS), "ur10e": (datasets.UR_JOINTS, UR10E_LINKS)}
+    for name, (joints, links) in made.items():
+        assert files("bayesid.robot").joinpath(f"{name}.urdf").read_text(encoding="utf-8") == dh_urdf(name, joints, links)
+
+
 def test_a_bag_of_the_ur10_is_read_by_joint_names(tmp_path):
     t, q, torques = motion(6, 500)
     order, rates = [2, 1, 0, 3, 4, 5], np.gradient(q, t, axis=0)  # drivers list the elbow first
-    names = [recipes.UR_JOINTS[k] for k in order]
+    names = [datasets.UR_JOINTS[k] for k in order]
     with Bag(tmp_path / "ur10.db3", "sqlite3") as bag:
         for row, ns in enumerate(START + np.round(t * 1e9).astype(int)):
             bag.joints(ns, names, q[row, order], v=rates[row, order], tau=torques[row, order], log=ns)
-    made = recipes.ur10({"ur10.db3": next((tmp_path / "ur10.db3").glob("*.db3"), tmp_path / "ur10.db3")})
+    made = datasets.ur10({"ur10.db3": next((tmp_path / "ur10.db3").glob("*.db3"), tmp_path / "ur10.db3")})
     np.testing.assert_allclose(np.vstack([m.table.positions for m in made]), q, atol=1e-12)
     assert [m.role for m in made] == ["identification", "validation"] and made.inertia_rel_std == 1.0
     assert len(made.motions[0].table) == pytest.approx(300, abs=2)

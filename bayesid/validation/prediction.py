@@ -138,10 +138,7 @@ class Prediction:
         return {
             "motion": self.motion,
             "role": self.role,
-            "rmse": by_channel(self.rmse),
-            "nrmse": by_channel(self.nrmse),
-            "rmse_raw": by_channel(self.rmse_raw),
-            "nrmse_raw": by_channel(self.nrmse_raw),
+            **{name: by_channel(getattr(self, name)) for name in ("rmse", "nrmse", "rmse_raw", "nrmse_raw")},
             "band_hz": BAND,
             "relative_error": self.relative_error,
             "relative_error_raw": self.relative_error_raw,

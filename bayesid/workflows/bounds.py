@@ -22,7 +22,7 @@ from bayesid.errors import InputError
 from bayesid.estimators import Estimator
 from bayesid.posterior.result import Posterior
 from bayesid.recordings.complaints import listed
-from bayesid.recordings.experiment import Experiment, Motion, as_experiment
+from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem, prepare
@@ -427,18 +427,12 @@ def _recorded(problem: Problem) -> list[Trajectory]:
     """Motions of the experiment that were not fitted, or one that was."""
     moving = [m for m in problem.experiment.motions if m.name in problem.segments and m.kind != "poses"]
     others = [m for m in moving if m.name not in problem.fitted and m.role == "validation"]
-    return [t for motion in others[:_SHOWN] or moving[:1] for t in _smoothed(problem, motion)]
-
-
-def _smoothed(problem: Problem, motion: Motion) -> list[Trajectory]:
-    """A recorded motion as far as its trajectory is sound; none where that is nowhere."""
-    parts = [s for s in _states(problem, [motion.name]) if len(s.times) > 1]
-    if not parts:
-        return []
-    times, q, v, a = (
-        np.concatenate([getattr(s, name) for s in parts]) for name in ("times", "positions", "velocities", "accelerations")
-    )
-    return [Trajectory(motion.name, motion.role, times, q, v, a)]
+    out = []
+    for motion in others[:_SHOWN] or moving[:1]:
+        if parts := [s for s in _states(problem, [motion.name]) if len(s.times) > 1]:  # as far as the trajectory is sound
+            columns = ("times", "positions", "velocities", "accelerations")
+            out.append(Trajectory(motion.name, motion.role, *(np.concatenate([getattr(s, c) for s in parts]) for c in columns)))
+    return out
 
 
 def _states(problem: Problem, motions: Sequence[str]) -> list[MotionSegment]:

@@ -119,7 +119,9 @@ def compare(
                 for text, e in nominal_estimates(problem, weights)
             ]
         seconds["prediction"] = time.perf_counter() - started - sum(seconds.values())
-    reference = _reference(entries)
+    # The default estimator where it has intervals, else the first that has.
+    sure = [e.name for e in entries if e.estimate is not None and e.estimate.full_covariance is not None]
+    reference = DEFAULT_METHOD if DEFAULT_METHOD in sure else next(iter(sure), None)
     estimates = {e.name: e.estimate for e in entries if e.estimate is not None}
     # Where the model lacks something, gls weights by channel and is no more efficient than wls.
     details = {name: e.details for name, e in estimates.items()}
@@ -160,12 +162,6 @@ def _chosen(methods: str | Estimator | Sequence[str | Estimator] | None) -> list
             name = f"{one.name} {count}"
         out[name] = one
     return list(out.items())
-
-
-def _reference(entries: Sequence[Entry]) -> str | None:
-    """The default estimator where it has intervals, else the first that has."""
-    sure = [e.name for e in entries if e.estimate is not None and e.estimate.full_covariance is not None]
-    return DEFAULT_METHOD if DEFAULT_METHOD in sure else next(iter(sure), None)
 
 
 def _attempt(name: str, method: Estimator, regression: Regression) -> Entry:

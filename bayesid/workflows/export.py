@@ -217,23 +217,24 @@ def _of_robot(values: Mapping[str, tuple[float, str]]) -> dict[str, tuple[float,
 
 
 def _cpp(found: IdentifiedRobot, made: _Making) -> None:
-    model = inverse_dynamics(found)
-    made.about["cpp"] = "inverse_dynamics.hpp, C++17: torques and their 95 % band"
-    _add_code("cpp", "inverse_dynamics.hpp", cpp_header(found, model), found, model, made)
+    _add_code("cpp", "inverse_dynamics.hpp", ", C++17", cpp_header, found, made)
 
 
 def _numpy(found: IdentifiedRobot, made: _Making) -> None:
+    _add_code("numpy", "inverse_dynamics.py", "", numpy_module, found, made)
+
+
+def _add_code(
+    form: str, file: str, what: str, written: Callable[[IdentifiedRobot, InverseDynamics], str], found: IdentifiedRobot,
+    made: _Making,
+) -> None:  # fmt: skip
     model = inverse_dynamics(found)
-    made.about["numpy"] = "inverse_dynamics.py: torques and their 95 % band"
-    _add_code("numpy", "inverse_dynamics.py", numpy_module(found, model), found, model, made)
-
-
-def _add_code(form: str, file: str, text: str, found: IdentifiedRobot, model: InverseDynamics, made: _Making) -> None:
     values = {
         f"{effect.spec}.{key}": (value, effect.units[key])
         for effect in found.effects if effect.spec in model.left_out for key, value in effect.values.items()
     }  # fmt: skip
-    made.texts[file], made.left_out[form] = text, _of_robot(values)
+    made.texts[file], made.left_out[form] = written(found, model), _of_robot(values)
+    made.about[form] = f"{file}{what}: torques and their 95 % band"
     if model.foreign:
         made.warnings.append(
             f"These readings say nothing of {model.foreign} of {len(model.bodies[0])} base parameters of the joint torques: they "

@@ -8,11 +8,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
-from bayesid.workflows.public_recordings import UR10E_LINKS, UR_JOINTS, dh_urdf, ur10e_rows
+from bayesid.datasets import UR_JOINTS, ur10e_rows
 
 COMMIT = "11af40e7"
 #: Below the clone; how a clone is told from ready folders.
@@ -77,7 +78,7 @@ def table(source: Path, recording: Recording) -> np.ndarray:
 def write_folder(folder: Path, motions: dict[str, tuple[str, np.ndarray]]) -> None:
     """Write an experiment folder: the role and the table of every motion by its name."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "robot.urdf").write_text(dh_urdf("ur10e", UR_JOINTS, UR10E_LINKS), encoding="utf-8")
+    (folder / "robot.urdf").write_bytes(files("bayesid.robot").joinpath("ur10e.urdf").read_bytes())
     lines = [
         "format = 1", f'name = "{folder.name}"', "", "[robot]", 'urdf = "robot.urdf"',
         f"joints = {_listed(UR_JOINTS)}",

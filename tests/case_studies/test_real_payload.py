@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import bayesid
-from bayesid.workflows import public_recordings as recipes
+from bayesid import datasets
+from tests.dh_robots import UR10E_LINKS, dh_urdf
 
 STUDY = Path(__file__).parents[2] / "case_studies" / "real_payload"
 MODULES = ("run", "present", "arm")
@@ -61,7 +62,7 @@ def test_what_the_page_claims(results):
 
 def test_robot_is_that_of_the_maker(arm, shared, tmp_path):
     """The URDF made of tables of Denavit-Hartenberg parameters beside one prepared earlier."""
-    (tmp_path / "robot.urdf").write_text(recipes.dh_urdf("ur10e", recipes.UR_JOINTS, recipes.UR10E_LINKS), encoding="utf-8")
+    (tmp_path / "robot.urdf").write_text(dh_urdf("ur10e", datasets.UR_JOINTS, UR10E_LINKS), encoding="utf-8")
     ours, theirs = (bayesid.load_robot(p) for p in (tmp_path / "robot.urdf", shared("data/ur10e/before/robot.urdf")))
     np.testing.assert_allclose(ours.nominal, theirs.nominal, atol=1e-9)
     assert ours.joint_names == theirs.joint_names
@@ -102,7 +103,7 @@ def test_a_raw_file_becomes_a_table(arm, tmp_path):
     assert table[0, 0] == pytest.approx(2.7, abs=0.02) and table[-1, 0] == pytest.approx(11.3, abs=0.02)
     inner = (table[:, 0] > 3.1) & (table[:, 0] < 10.9)  # away from corners of the course
     expected = np.sin(np.outer(table[inner, 0] - 3.0, np.arange(1, 13) * np.pi / 8.0))
-    gains = np.concatenate([np.ones(6), recipes.UR10E_GAINS])
+    gains = np.concatenate([np.ones(6), datasets.UR10E_GAINS])
     np.testing.assert_allclose(table[inner, 1:], expected * gains, atol=2e-3)
 
 
@@ -123,8 +124,8 @@ def test_drive_gains_are_the_controller_s(arm, clone):
     top, below = np.zeros(6), np.zeros(6)
     for recording in (arm.BEFORE, *arm.SERIES):
         raw = np.loadtxt(clone / arm.RAW / recording.file, delimiter=",")
-        moving = int(np.argmax(np.abs(raw[:, 7:13]).max(axis=1) > recipes.UR10E_MOVING))
+        moving = int(np.argmax(np.abs(raw[:, 7:13]).max(axis=1) > datasets.UR10E_MOVING))
         current, torque = raw[: max(moving - 30, 0), 19:25], raw[: max(moving - 30, 0), 25:31]
         top += np.sum(current * torque, axis=0)
         below += np.sum(current**2, axis=0)
-    np.testing.assert_allclose(top[1:4] / below[1:4], recipes.UR10E_GAINS[1:4], rtol=2e-3)
+    np.testing.assert_allclose(top[1:4] / below[1:4], datasets.UR10E_GAINS[1:4], rtol=2e-3)

@@ -97,15 +97,8 @@ def _speeds(v: np.ndarray, names: Sequence[str]) -> np.ndarray:
 def remainder(problem: Problem, model: ReadingModel, floor: NoiseFloor | None = None) -> Remainder | None:
     """What the model leaves of recorded readings; None where none were recorded.
 
-    Parameters
-    ----------
-    problem
-        The experiment; its motions of role ``validation`` and those that were fitted, as far as they have such readings. Bounds
-        are of the former where there are any.
-    model
-        Of the joint torques, or of the wrench, whose mean over a motion is left to the sensor's offset.
-    floor
-        Noise of the readings that were fitted, where something tells it.
+    They are those of motions of role ``validation`` and of those that were fitted; bounds are of the former where there are any.
+    Of the wrench the mean over a motion is left to the sensor's offset. ``floor`` is noise of the readings that were fitted.
     """
     readable = [m for m in problem.experiment.motions if m.name in problem.segments and m.kind != "poses"]
     with_readings = [m for m in readable if _read(model, m) is not None]

@@ -18,9 +18,20 @@ import numpy as np
 
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
-from bayesid.design.tell.evidence import Contest, PredictedRows, Rival
 from bayesid.design.tell.motions import Planned, pool, prolonged, varied, within_limits
-from bayesid.design.tell.rivals import Case, columns, from_effects, from_search, parse_effects, predicted, supposed, unknown
+from bayesid.design.tell.rivals import (
+    Case,
+    Contest,
+    PredictedRows,
+    Rival,
+    columns,
+    from_effects,
+    from_search,
+    parse_effects,
+    predicted,
+    supposed,
+    unknown,
+)
 from bayesid.diagnosis.candidates import make_library
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.encoders import pooled, with_noise

@@ -1,4 +1,28 @@
-"""Rivals: models that explain the recordings so far about as well, with what these know of everything free in them."""
+"""Rivals: models that explain the recordings so far about as well, with what these know of everything free in them.
+
+How a motion that nobody has made yet would change the evidence between them is known in closed form. Rival i has, from the
+recordings so far, an estimate of everything that is free in it (links, offset, its effects) with covariance
+``C_i = (R_i' R_i)^-1``. For a planned motion it predicts whitened readings m_i with derivatives J_i, so that under it
+
+    y ~ N(m_i, V_i),    V_i = 1 + J_i C_i J_i'.
+
+What the old recordings know counts through C_i and through the log evidence that they gave. The new motion adds to the log
+evidence of i over j
+
+    Delta_ij = [(y - m_j)' V_j^-1 (y - m_j) - (y - m_i)' V_i^-1 (y - m_i)] / 2 - (what the free parameters cost more),
+
+the first part being the same as that of a joint fit of old and new recordings, for ``(y - m)' V^-1 (y - m)`` is by how much the
+new rows raise the smallest chi2. If i is true, with d = m_i - m_j, S S' = V_i, and A = S' V_j^-1 S - 1,
+
+    mean = [tr A + d' V_j^-1 d] / 2,    variance = tr(A^2) / 2 + |S' V_j^-1 d|^2.
+
+``lambda_ij = d' V_j^-1 d`` is the noncentrality: what the best fit of j and of all else leaves of i's prediction. Where the
+old recordings have settled all but d this is N(lambda / 2, lambda), the expectation of [BoxHill1967]_ and the criterion of
+[AtkinsonFedorov1975]_. The motion decides for i against j where Delta_ij and the old evidence together exceed the difference from
+which a diagnosis no longer lists j as a rival.
+
+All columns are reduced once to a triangular factor, so that a motion costs the same however long it lasts.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +31,170 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import log_ndtr, ndtr
 
-from bayesid.design.tell.evidence import Rival
 from bayesid.diagnosis.candidates import Library, make_library
 from bayesid.diagnosis.data import DiagnosisData, model_rows
-from bayesid.diagnosis.fit import Fit, fit
+from bayesid.diagnosis.fit import Fit, fit, price
 from bayesid.diagnosis.projector import make_projector, offset_columns
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import Effect, Term
+
+#: Joint draws of the new evidence of all rivals, reduced to a few numbers each: probabilities to 1 %.
+_DRAWN = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A model that explains the recordings so far."""
+
+    name: str  # of the effects that tell it from the others
+    fit: Fit  # its fit
+    #: Log evidence from the recordings so far, over the dispersion factor, but for a constant that all rivals share.
+    evidence: float
+    #: R, triangular factor of the information on links, offset and its free parameters, in units of the dispersed noise (s + k,
+    #: s + k).
+    factor: np.ndarray
+    dispersion: float  # dispersion factor, by which the noise's power is larger than measured
+    rows: int  # rows of the recordings that count
+
+    def cost(self, factor: np.ndarray, rows: int) -> float:
+        """What its free parameters cost of the log evidence, over the dispersion factor, with so much information."""
+        if not rows:
+            return 0.0
+        data: DiagnosisData = self.fit.projector.data
+        common = self.fit.projector.size
+        kept = np.sqrt(self.dispersion) * factor[common:, common:]
+        return price(data, rows, self.fit.terms, self.fit.free, kept) / self.dispersion
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedRows:
+    """What rivals predict of a motion, in units of the dispersed noise and reduced to a few rows."""
+
+    readings: np.ndarray  # m_i, the first rival's subtracted (rivals, t)
+    columns: tuple[np.ndarray, ...]  # j_i of each rival (t, s + k_i)
+    count: int  # rows that are data
+
+    @classmethod
+    def of(cls, columns: Sequence[np.ndarray], readings: Sequence[np.ndarray], count: int) -> PredictedRows:
+        """Reduce each rival's columns (N, s + k_i) and predicted readings (N,)."""
+        away = np.column_stack([m - readings[0] for m in readings])
+        r = np.asarray(np.linalg.qr(np.hstack([*columns, away]), mode="r"))
+        *apart, means = np.split(r, np.cumsum([j.shape[1] for j in columns]), axis=1)
+        return cls(means.T, tuple(apart), count)
+
+
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """What a motion would do to the evidence between rivals."""
+
+    rivals: tuple[Rival, ...]  # the models
+    rows: PredictedRows  # what they predict of it
+    needed: float  # difference of log evidence from which one rules the other out
+    #: Of the distance between the row's rival and the column's, what exact fits leave of it (rivals, rivals); None: all.
+    shares: np.ndarray | None = None
+    #: Log evidence so far of the row's rival over the column's that exact fits take back (rivals, rivals); None: nothing.
+    lost: np.ndarray | None = None
+
+    def _lead(self, i: int, j: int) -> float:
+        """Log evidence of rival i over j but for what the motion adds, where i is true."""
+        return float(self.constant[i] - self.constant[j] - (0.0 if self.lost is None else self.lost[i, j]))
+
+    def _away(self, i: int, j: int) -> np.ndarray:
+        """What rival i predicts beyond rival j (t,)."""
+        return (1.0 if self.shares is None else self.shares[i, j]) * (self.rows.readings[i] - self.rows.readings[j])
+
+    @cached_property
+    def _spreads(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """A root S of each V and the inverse of V (t, t)."""
+        out = []
+        for rival, j in zip(self.rivals, self.rows.columns, strict=True):
+            b = solve_triangular(rival.factor.T, j.T, lower=True).T
+            v = np.eye(len(b)) + b @ b.T
+            out.append((np.linalg.cholesky(v), np.linalg.inv(v)))
+        return out
+
+    @cached_property
+    def constant(self) -> np.ndarray:
+        """Log evidence of each rival so far, less what its free parameters will cost more (rivals,)."""
+        out = []
+        for rival, j in zip(self.rivals, self.rows.columns, strict=True):
+            after = np.asarray(np.linalg.qr(np.vstack([rival.factor, j]), mode="r"))
+            more = rival.cost(after, rival.rows + self.rows.count) - rival.cost(rival.factor, rival.rows)
+            out.append(rival.evidence - more)
+        return np.array(out)
+
+    @cached_property
+    def noncentrality(self) -> np.ndarray:
+        """lambda: what the best fit of the column's rival leaves where the row's is true (rivals, rivals)."""
+        count = len(self.rivals)
+        out = np.zeros((count, count))
+        for i in range(count):
+            for j in range(count):
+                d = self._away(i, j)
+                out[i, j] = d @ self._spreads[j][1] @ d
+        return out
+
+    @cached_property
+    def moments(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation of the log evidence of the row's rival, which is true, over the column's, old and new."""
+        count = len(self.rivals)
+        mean, std = np.zeros((2, count, count))
+        for i in range(count):
+            root = self._spreads[i][0]
+            for j in range(count):
+                if i == j:
+                    continue
+                inverse = self._spreads[j][1]
+                along = root.T @ (inverse @ self._away(i, j))
+                a = root.T @ inverse @ root - np.eye(len(root))
+                mean[i, j] = 0.5 * (np.trace(a) + self.noncentrality[i, j]) + self._lead(i, j)
+                std[i, j] = np.sqrt(0.5 * np.sum(a**2) + along @ along)
+        return mean, std
+
+    @property
+    def _distance(self) -> np.ndarray:
+        """By how many standard deviations the mean exceeds what is needed (rivals, rivals); infinite on the diagonal."""
+        mean, std = self.moments
+        out = (mean - self.needed) / np.maximum(std, 1e-9)
+        np.fill_diagonal(out, np.inf)
+        return out
+
+    @property
+    def pairs(self) -> np.ndarray:
+        """Probability that the row's rival, if it is true, rules out the column's: of a normal Delta (rivals, rivals)."""
+        return ndtr(self._distance)
+
+    def merit(self, weights: np.ndarray) -> float:
+        """What is maximised: the log probabilities of `pairs`, summed; the pair that is hardest to tell counts most."""
+        return float(weights @ log_ndtr(self._distance).sum(axis=1))
+
+    def _scores(self, true: int, seed: int) -> np.ndarray:
+        """Log evidence of each rival, but for a constant, in joint draws of y where one is true (draws, rivals)."""
+        z = np.random.default_rng([seed, true]).normal(size=(_DRAWN, self.rows.readings.shape[1]))
+        y = z @ self._spreads[true][0].T  # about what the true one predicts
+        left = [(y + self._away(true, j), inverse) for j, (_, inverse) in enumerate(self._spreads)]
+        lead = np.array([self._lead(true, j) for j in range(len(self.rivals))])
+        return -lead - 0.5 * np.column_stack([np.sum((e @ inverse) * e, axis=1) for e, inverse in left])
+
+    def chances(self, true: int, seed: int = 0) -> np.ndarray:
+        """Probability that the true rival rules out each other one: from draws, where `pairs` takes a normal law (rivals,)."""
+        scores = self._scores(true, seed)
+        return np.asarray(np.mean(scores[:, true : true + 1] - scores > self.needed, axis=0))
+
+    def decided(self, weights: np.ndarray, seed: int = 0) -> tuple[float, float]:
+        """Probabilities, by joint draws of y, that the true rival alone is left and that a wrong one is."""
+        right, wrong = 0.0, 0.0
+        for i in map(int, np.flatnonzero(weights > 0)):
+            scores = self._scores(i, seed)
+            second, first = np.sort(scores, axis=1)[:, -2:].T
+            clear, best = first - second > self.needed, np.argmax(scores, axis=1) == i
+            right += weights[i] * float(np.mean(clear & best))
+            wrong += weights[i] * float(np.mean(clear & ~best))
+        return min(right, 1.0), min(wrong, 1.0)  # weights add up to 1 but for rounding
 
 
 @dataclass(frozen=True, eq=False)

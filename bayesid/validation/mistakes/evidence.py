@@ -153,15 +153,7 @@ class RobotFit:
 
 
 class Explainer:
-    """Fits robots that could exist to readings, with changes of the data.
-
-    Parameters
-    ----------
-    robot, channels
-        What is measured.
-    samples
-        Joint motion and readings.
-    """
+    """Fits robots that could exist to the readings of some channels, with changes of the data."""
 
     def __init__(self, robot: Robot, channels: Channels, samples: Samples) -> None:
         self.robot, self.channels, self.samples = robot, channels, samples
