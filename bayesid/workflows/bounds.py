@@ -431,7 +431,8 @@ def _recorded(problem: Problem) -> list[Trajectory]:
     for motion in others[:_SHOWN] or moving[:1]:
         if parts := [s for s in _states(problem, [motion.name]) if len(s.times) > 1]:  # as far as the trajectory is sound
             columns = ("times", "positions", "velocities", "accelerations")
-            out.append(Trajectory(motion.name, motion.role, *(np.concatenate([getattr(s, c) for s in parts]) for c in columns)))
+            times, q, v, a = (np.concatenate([getattr(s, name) for s in parts]) for name in columns)
+            out.append(Trajectory(motion.name, motion.role, times, q, v, a))
     return out
 
 
