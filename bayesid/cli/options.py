@@ -185,7 +185,8 @@ def output_folder(out: Path | None, name: str, verb: str) -> Path:
 
 def bounded(method, bounds: Path | None, loaded):
     """The estimator with the bounds of a file."""
-    from bayesid.estimators import Physical, load_bounds
+    from bayesid.estimators.conic.bounds import load_bounds
+    from bayesid.estimators.conic.physical import Physical
 
     if bounds is None:
         return method

@@ -20,12 +20,11 @@ from bayesid.estimators.factor import gram_rows, reduce_rows, reduce_whitened
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import condition_number, determined_inverse, undetermined
-from bayesid.regression.problem import fastest_rate, row_step, smoother_of
+from bayesid.regression.problem import fastest_rate, model_structure, row_step, smoother_of
 from bayesid.regression.readings import make_channels
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
-from bayesid.regression.structure import model_structure
 from bayesid.signals.noise import NoiseModel
 from bayesid.simulation.trajectories import Trajectory
 

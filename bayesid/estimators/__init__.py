@@ -10,10 +10,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from bayesid.errors import BayesidWarning, EstimationError, InputError
-from bayesid.estimators.conic.bounds import Bounds, load_bounds
 from bayesid.estimators.conic.physical import Physical
 from bayesid.estimators.errors_in_variables import TotalLeastSquares
-from bayesid.estimators.estimator import CustomDetails, Details, Estimate, Estimator
+from bayesid.estimators.estimator import Estimate, Estimator
 from bayesid.estimators.factor import pilot_of
 from bayesid.estimators.instrumental_variables import InstrumentalVariables
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
@@ -130,25 +129,3 @@ def _stated_noise_doubted(regression: Regression, estimate: Estimate) -> str:
     if chi2.cdf(square, degrees) < UNLIKELY:
         return f"residuals are {ratio}, so intervals are too long; correct noise_std, or leave it out"
     return ""
-
-
-__all__ = [
-    "DEFAULT_METHOD",
-    "METHODS",
-    "Bounds",
-    "Details",
-    "Estimate",
-    "Estimator",
-    "Huber",
-    "InstrumentalVariables",
-    "LeastSquares",
-    "CustomDetails",
-    "Physical",
-    "Ridge",
-    "Student",
-    "TotalLeastSquares",
-    "TruncatedSVD",
-    "estimator",
-    "fit",
-    "load_bounds",
-]

@@ -42,7 +42,7 @@ from bayesid.estimators.factor import Factor, gram_of, pilot_of, reduce_whitened
 from bayesid.estimators.sensor_noise import sensor_noise
 from bayesid.estimators.weights import Weights, stated_noise
 from bayesid.regression.blocks import Block, RegressorNoise
-from bayesid.regression.linalg import UNSEEN, pseudo_inverse, solve
+from bayesid.regression.linalg import pseudo_inverse, solve
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel, memoryless
 
@@ -79,21 +79,21 @@ def covariance_middle(regression: Regression, weights: Weights, scale: dict[str,
         middle = factor.matrix.T @ factor.matrix
     else:
         middle = whitened_middle(regression, weights) if scale is None else sandwich_middle(regression, weights.noise, scale)
-    inverse = pseudo_inverse(factor.matrix, UNSEEN)
-    corrected = with_encoder_errors(regression, weights, scale, inverse, middle)
+    corrected = with_encoder_errors(regression, weights, scale, factor.inverse, middle)
     if exact:
         return Middle(corrected, 1.0)
     # A complete model's dispersion is the same for all channels.
-    wider = weights.dispersion if scale is not None else _scattered(inverse, factor, middle, weights.efficient)
+    wider = weights.dispersion if scale is not None else _scattered(factor, middle, weights.efficient)
     return Middle(wider * (middle if corrected is None else corrected), wider)
 
 
-def _scattered(inverse: np.ndarray, factor: Factor, middle: np.ndarray, efficient: Dispersion) -> float:
+def _scattered(factor: Factor, middle: np.ndarray, efficient: Dispersion) -> float:
     """By what an efficient fit scatters between parts more than the spectrum of its whitened rows says; one at least.
 
     The dispersion is relative to rows R that are white, ``trace(R^-T R'R R^-1)``, the spectrum's M likewise: what both see
     counts once.
     """
+    inverse = factor.inverse
     spread = float(np.vdot(inverse, middle @ inverse)) / float(np.sum((factor.matrix @ inverse) ** 2) or 1.0)
     return max(efficient.found / spread, 1.0) if spread > 0.0 else 1.0
 
@@ -141,8 +141,7 @@ def whitened_middle(regression: Regression, weights: Weights) -> np.ndarray:
 
 def _found(regression: Regression, weights: Weights) -> dict[str, InnovationSpectrum]:
     factor = pilot_of(regression.rows).whitened(weights.noise)
-    solution, inverse = solve(factor.matrix, factor.target), pseudo_inverse(factor.matrix, UNSEEN)
-    bread = inverse @ inverse.T
+    solution, bread = solve(factor.matrix, factor.target), factor.inverse @ factor.inverse.T
     groups: dict[str, list[np.ndarray]] = {}
     for block, white in whitened(regression.rows.pilot(), weights.noise):
         groups.setdefault(block.group, []).append(white)

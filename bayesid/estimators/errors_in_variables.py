@@ -27,10 +27,10 @@ from bayesid.errors import InputError
 from bayesid.estimators.covariance import SPECTRA, covariance_of_sums, sensor_alone
 from bayesid.estimators.estimator import OPTIONAL, Details, Estimate, strongest
 from bayesid.estimators.factor import Factor, gram_rows, reduce_whitened
-from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal, weighted_factor
+from bayesid.estimators.least_squares import completeness, make_estimate, solved, weighted_factor
 from bayesid.estimators.weights import Weights, learn_weights, noise_of_residuals
 from bayesid.regression.blocks import Block, Pair, RegressorNoise
-from bayesid.regression.linalg import UNSEEN, at_least, pseudo_inverse, solve, standard_deviations, undetermined
+from bayesid.regression.linalg import at_least, standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -48,8 +48,11 @@ class Start:
     factor: Factor
     scale: dict[str, np.ndarray]
     solution: np.ndarray
-    hidden: np.ndarray
-    root: np.ndarray  # (p, p): X root has orthonormal columns
+
+    @property
+    def root(self) -> np.ndarray:
+        """X root has orthonormal columns (p, p)."""
+        return self.factor.inverse
 
     def rows(self, block: Block) -> tuple[np.ndarray, np.ndarray]:
         """Weighted rows in these coordinates (k channels, p), and residuals of least squares (k channels,)."""
@@ -75,10 +78,7 @@ def begin(regression: Regression) -> Start:
     weights = learn_weights(regression)
     factor, scale = weighted_factor(regression, weights, "channel")
     assert scale is not None
-    solution = solve(factor.matrix, target_from_nominal(regression, factor))
-    solution = solution + nominal_start(regression, len(solution))
-    hidden = undetermined(factor.matrix)
-    return Start(weights, factor, scale, solution, hidden, pseudo_inverse(factor.matrix, UNSEEN))
+    return Start(weights, factor, scale, solved(regression, factor))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,10 +149,10 @@ class TotalLeastSquares:
         covariance = start.root @ inverse @ meat @ inverse @ start.root.T
         estimate = make_estimate(
             self.name, regression, replace(start.weights, noise=noise_of_fit(regression, start, solution)), start.factor,
-            solution, covariance, start.hidden,
+            solution, covariance,
         )  # fmt: skip
         plain = start.root @ ordinary @ start.root.T
-        shift = largest_shift(solution - start.solution, plain, start.hidden)
+        shift = largest_shift(solution - start.solution, plain, start.factor.undetermined)
         described = law.describe()
         warnings = tuple(described.pop("warnings", ()))
         details = TotalLeastSquaresDetails(
@@ -170,7 +170,7 @@ class TotalLeastSquares:
                 f"the motions show hardly more than encoder noise in the direction of {lost}: "
                 f"{100 * min(values[-1], 1.0):.0f} % of its rows; lower the bandwidth"
             )
-            return replace(estimate, full_covariance=None, interval="none", interval_reason=reason, details=details)
+            estimate = replace(estimate, full_covariance=None, interval="none", interval_reason=reason)
         return replace(estimate, details=details)
 
 

@@ -12,7 +12,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from bayesid.estimators.dispersion import PARTS
 from bayesid.regression.blocks import PANEL, Block
-from bayesid.regression.linalg import or_one
+from bayesid.regression.linalg import UNSEEN, or_one, pseudo_inverse, undetermined
 from bayesid.regression.parallel import in_order
 from bayesid.regression.row_cache import RowCache
 from bayesid.signals.noise import NoiseModel
@@ -42,6 +42,16 @@ class Factor:
     def least_squares(self) -> float:
         """Sum of squares that no parameters can remove."""
         return float(self.r[-1, -1] ** 2)
+
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """Pseudo-inverse of the factor of X (p, p): times its transpose, the covariance where rows have unit covariance."""
+        return pseudo_inverse(self.matrix, UNSEEN)
+
+    @cached_property
+    def undetermined(self) -> np.ndarray:
+        """Columns with a part that the rows do not determine (p,)."""
+        return undetermined(self.matrix)
 
 
 def stack(r: np.ndarray | None, rows: np.ndarray) -> np.ndarray:

@@ -28,14 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.estimators.errors_in_variables import (
-    LARGEST_SHIFT,
-    Start,
-    begin,
-    largest_shift,
-    noise_of_fit,
-    split_noise,
-)
+from bayesid.estimators.errors_in_variables import LARGEST_SHIFT, Start, begin, largest_shift, noise_of_fit, split_noise
 from bayesid.estimators.estimator import Details, Estimate, strongest
 from bayesid.estimators.least_squares import completeness, make_estimate
 from bayesid.regression.blocks import Pair
@@ -122,10 +115,8 @@ class InstrumentalVariables:
         covariance = start.root @ inverse @ meat @ inverse.T @ start.root.T
         ordinary = one[:p, :p] + mean.T @ both @ mean  # of X alone
         plain = start.root @ ordinary @ start.root.T
-        estimate = make_estimate(
-            self.name, regression, replace(start.weights, noise=total), start.factor, solution, covariance, start.hidden
-        )
-        shift = largest_shift(solution - start.solution, plain, start.hidden)
+        estimate = make_estimate(self.name, regression, replace(start.weights, noise=total), start.factor, solution, covariance)
+        shift = largest_shift(solution - start.solution, plain, start.factor.undetermined)
         test = _hausman(sums, one + both, ordinary)
         described = given.describe()
         statistic, direction = sums.first_stage(start)
@@ -175,7 +166,7 @@ class _InstrumentSums:
             values, vectors = np.linalg.eigh(gram)
             roots.append(vectors / np.sqrt(np.where(values > 1e-10 * values[-1], values, np.inf)) @ vectors.T)
         _, correlations, directions = np.linalg.svd(roots[0] @ self.z_x @ roots[1])
-        p = int(np.count_nonzero(~start.hidden))
+        p = int(np.count_nonzero(~start.factor.undetermined))
         smallest = float(min(correlations[p - 1], 1.0))
         statistic = (self.rows - p) / p * smallest**2 / max(1.0 - smallest**2, 1e-12)
         return statistic, start.root @ roots[1] @ directions[p - 1]

@@ -26,15 +26,7 @@ from bayesid.estimators.estimator import Details, Estimate, largest_autocorrelat
 from bayesid.estimators.factor import Factor, reduce_in_coordinates, reduce_whitened, whitened
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.blocks import residual_of
-from bayesid.regression.linalg import (
-    UNSEEN,
-    column_lengths,
-    condition_number,
-    pseudo_inverse,
-    solve,
-    standard_deviations,
-    undetermined,
-)
+from bayesid.regression.linalg import column_lengths, condition_number, solve, standard_deviations
 from bayesid.regression.regression import Regression
 
 _WEIGHTS = ("none", "channel", "noise")
@@ -64,14 +56,10 @@ class LeastSquares:
         weights = learn_weights(regression)
         kind = likelihood_weights(weights) if self.weights == "noise" else self.weights
         factor, scale = weighted_factor(regression, weights, kind)
-        solution = solve(factor.matrix, target_from_nominal(regression, factor))
-        solution = solution + nominal_start(regression, len(solution))
-        hidden = undetermined(factor.matrix)
-        inverse = pseudo_inverse(factor.matrix, UNSEEN)
-        bread = inverse @ inverse.T
+        bread = factor.inverse @ factor.inverse.T
         middle = covariance_middle(regression, weights, scale, factor)
         covariance = bread if middle.matrix is None else bread @ middle.matrix @ bread
-        estimate = make_estimate(self.name, regression, weights, factor, solution, covariance, hidden)
+        estimate = make_estimate(self.name, regression, weights, factor, solved(regression, factor), covariance)
         warnings = () if kind == self.weights else (CHANNEL_INSTEAD.format(self.name),)
         said = completeness(weights, middle.dispersion)
         return replace(estimate, details=LeastSquaresDetails(**said, weights=kind, warnings=warnings))
@@ -189,6 +177,11 @@ def nominal_start(regression: Regression, p: int) -> np.ndarray:
     return start
 
 
+def solved(regression: Regression, factor: Factor) -> np.ndarray:
+    """Least squares of weighted rows (p,), by way of the nominal parameters."""
+    return solve(factor.matrix, target_from_nominal(regression, factor)) + nominal_start(regression, factor.matrix.shape[1])
+
+
 def target_from_nominal(regression: Regression, factor: Factor) -> np.ndarray:
     """Rotated target (p,) relative to the nominal parameters, of which `nominal_start` is the other part."""
     return factor.target - factor.matrix @ nominal_start(regression, factor.matrix.shape[1])
@@ -231,7 +224,7 @@ def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> 
 
 
 def _biased(name, regression, weights, factor, values, details, reason) -> Estimate:
-    estimate = make_estimate(name, regression, weights, factor, values, None, undetermined(factor.matrix))
+    estimate = make_estimate(name, regression, weights, factor, values, None)
     return replace(estimate, interval="none", interval_reason=reason, details=details)
 
 
@@ -245,18 +238,11 @@ def completeness(weights: Weights, dispersion: float | None = None) -> dict[str,
 
 
 def make_estimate(
-    name: str,
-    regression: Regression,
-    weights: Weights,
-    factor: Factor,
-    solution: np.ndarray,
-    covariance: np.ndarray | None,
-    hidden: np.ndarray,
+    name: str, regression: Regression, weights: Weights, factor: Factor, solution: np.ndarray, covariance: np.ndarray | None
 ) -> Estimate:
     """An estimate with what every one says of itself: residuals in units of the noise, whiteness, weak parameters.
 
-    ``factor`` is of the rows as they were weighted; base and effect parameters (p,) have a covariance (p, p), or None, and are
-    ``hidden`` where the rows say nothing about them (p,).
+    ``factor`` is of the rows as they were weighted; base and effect parameters (p,) have a covariance (p, p), or None.
     """
     white = [residual_of(rows, solution) for _, rows in whitened(regression.rows.pilot(), weights.noise)]
     count = sum(w.size for w in white)
@@ -273,7 +259,7 @@ def make_estimate(
         effect_units=regression.effect_units,
         solution=solution,
         full_covariance=covariance,
-        undetermined=hidden,
+        undetermined=factor.undetermined,
         weak=weak,
         interval="confidence",
         noise=weights.noise,

@@ -25,8 +25,7 @@ from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, Huber, Physi
 from bayesid.estimators.factor import Pilot
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from bayesid.regression.linalg import solve as least_squares
-from bayesid.regression.problem import Problem, chosen_again, relinearised
-from bayesid.regression.structure import absorbed_offset
+from bayesid.regression.problem import Problem, absorbed_offset, chosen_again, relinearised
 
 #: The effects' parameters have settled when a step is this small against their standard deviations.
 SETTLED = 0.05

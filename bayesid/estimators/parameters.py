@@ -19,13 +19,7 @@ if TYPE_CHECKING:
 
 
 def tails(level: float = LEVEL) -> tuple[float, float]:
-    """Probabilities below the lower and below the upper end of a central interval.
-
-    Raises
-    ------
-    InputError
-        The level is no probability.
-    """
+    """Probabilities below the ends of a central interval; an `InputError` where the level is no probability."""
     if not 0.0 < level < 1.0:
         raise InputError(f"level = {level}: give a probability between 0 and 1, such as 0.95")
     return 0.5 - level / 2, 0.5 + level / 2

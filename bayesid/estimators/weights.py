@@ -16,7 +16,7 @@ from bayesid.estimators.factor import Factor, Pilot, pilot_of, regressor_times, 
 from bayesid.estimators.sensor_noise import sensor_noise
 from bayesid.regression.blocks import Block, RegressorNoise
 from bayesid.regression.hypothesis_tests import hausman
-from bayesid.regression.linalg import UNSEEN, pseudo_inverse, solve, standard_deviations, undetermined
+from bayesid.regression.linalg import pseudo_inverse, solve, standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel, estimate_noise, memoryless
 
@@ -216,8 +216,8 @@ def _agreement(efficient: Factor, plain: Factor, middle: np.ndarray, difference:
     Under a complete model ``d = b_wls - b_gls`` has covariance ``V_wls - V_gls``, of what the rows determine: along the rest
     each fit stays where it began. ``middle`` is that of the sandwich around the channel-weighted fit's covariance (p, p).
     """
-    shown = ~(undetermined(plain.matrix) | undetermined(efficient.matrix))
-    outer, own = (root @ root.T for root in (pseudo_inverse(f.matrix, UNSEEN) for f in (plain, efficient)))
+    shown = ~(plain.undetermined | efficient.undetermined)
+    outer, own = (f.inverse @ f.inverse.T for f in (plain, efficient))
     covariance = outer @ middle @ outer
     size = standard_deviations(covariance, 1e-300)[shown]
     gap = (covariance - own)[np.ix_(shown, shown)]

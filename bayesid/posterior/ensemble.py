@@ -8,10 +8,9 @@ a Metropolis-Hastings step with the weight ``p / q`` [Tierney1994]_. One step in
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import emcee
 import numpy as np
@@ -66,7 +65,8 @@ class Ensemble:
     model: PosteriorModel
     moves: str = "laplace"  # ``laplace`` (with differential evolution one step in ten), ``de`` or ``stretch`` alone
     thin: int = 4
-    name: str = field(default="emcee", init=False)
+    name: ClassVar[str] = "emcee"
+    state_type: ClassVar = EnsembleState
 
     def __post_init__(self) -> None:
         if self.moves not in MOVES:
@@ -156,10 +156,6 @@ class Ensemble:
         state = EnsembleState(points, self.log_density(points), random)
         self._run(state, 1, _WARM_UP if self.moves == "laplace" else _WARM_UP_ALONE)
         return state
-
-    def restored(self, saved: Mapping[str, Any]) -> EnsembleState:
-        """The state that was saved as its fields; an older version saved others, too."""
-        return EnsembleState(saved["points"], saved["log_density"], saved["random"])
 
     def advance(self, state: EnsembleState, count: int, thin: int) -> np.ndarray:
         """Draws (count, walkers, names) ``thin`` steps apart; the state moves on."""

@@ -109,11 +109,8 @@ class PosteriorModel:
     def of(cls, regression: Regression, prior: Prior | None = None, noise: str = "gaussian", **options) -> PosteriorModel:
         """The posterior of a regression; further options are the class's attributes.
 
-        Raises
-        ------
-        InputError
-            The noise has no such name, the prior does not fit the links, or the data and a flat prior together
-            leave something without any limit.
+        An `InputError` where the noise has no such name, the prior does not fit the links, or the data and a flat prior together
+        leave something without any limit.
         """
         if noise not in NOISES:
             raise InputError(f"noise '{noise}': choose one of {', '.join(NOISES)}")

@@ -14,6 +14,7 @@ which add up to the likelihood that is sampled. Of long recordings, several term
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -129,7 +130,8 @@ def predictive_groups(
     for name, blocks in (("fitted", _first_rows(fitted)), ("validation", _first_rows(validation))):
         if not blocks:
             continue
-        keep = _evenly_spaced(blocks)
+        step = max(-(-sum(len(b.rows) for b in blocks) // ROWS), 1)
+        keep = [np.arange(0, len(b.rows), step) for b in blocks]
         groups["posterior_predictive"][name] = np.concatenate(
             [_replicated(posterior, b, rng)[:, :, k].astype(np.float32) for b, k in zip(blocks, keep, strict=True)], axis=2
         )
@@ -148,15 +150,9 @@ def _first_rows(blocks: Iterable[Block]) -> list[Block]:
         if total >= CONSIDERED:
             break
         count = min(len(block.rows), CONSIDERED - total)
-        out.append(Block(block.rows[:count], block.times[:count], block.motion, block.start, block.group))
+        out.append(replace(block, rows=block.rows[:count], times=block.times[:count]))
         total += count
     return out
-
-
-def _evenly_spaced(blocks: list[Block]) -> list[np.ndarray]:
-    """Evenly spaced rows of every block, about `ROWS` in all."""
-    step = max(-(-sum(len(b.rows) for b in blocks) // ROWS), 1)
-    return [np.arange(0, len(b.rows), step) for b in blocks]
 
 
 def _noise(posterior: Posterior, group: str) -> tuple[NoiseModel, slice]:

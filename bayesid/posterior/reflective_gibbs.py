@@ -11,10 +11,10 @@ with C channels an instant; nu comes before the weights and without them (slice 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import get_blas_funcs, get_lapack_funcs
@@ -48,9 +48,10 @@ class ReflectiveGibbs:
     """Sampler ``hmc``: exact, without tuning; every chain is one point."""
 
     model: PosteriorModel
-    name: str = field(default="hmc", init=False)
-    walkers: int = field(default=1, init=False)
-    thin: int = field(default=1, init=False)
+    name: ClassVar[str] = "hmc"
+    walkers: ClassVar[int] = 1
+    thin: ClassVar[int] = 1
+    state_type: ClassVar = GibbsState
 
     def start(self, rng: np.random.Generator) -> GibbsState:
         """A state inside all walls, after a warm-up of a hundred sweeps."""
@@ -63,10 +64,6 @@ class ReflectiveGibbs:
             self._sweep(state)
         state.bounces = state.lost = 0.0
         return state
-
-    def restored(self, saved: Mapping[str, Any]) -> GibbsState:
-        """The state that was saved as its fields."""
-        return GibbsState(**saved)
 
     def advance(self, state: GibbsState, count: int, thin: int) -> np.ndarray:
         """Draws (count, 1, names) ``thin`` sweeps apart; the state moves on."""

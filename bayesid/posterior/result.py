@@ -104,11 +104,6 @@ class Posterior(Plots, HasParameters):
         """Draws of the link parameters (chains, draws, P); None with a flat prior, which is on base parameters."""
         return None if self.model.prior is None else self.linear[..., : self.model.link_count]
 
-    @cached_property
-    def log_posterior(self) -> np.ndarray:
-        """Logarithm of the joint density of every draw, up to a constant (chains, draws)."""
-        return self.model.log_joint(*self.model.split(self.chains.draws))
-
     # ---- summaries of the base parameters ---------------------------------------------------------------------
 
     @property
@@ -226,7 +221,8 @@ class Posterior(Plots, HasParameters):
             coords["scale_channel"], dims["scale"] = list(model.scale_names), ["scale_channel"]
         if self.dof is not None:
             posterior["nu"] = self.dof
-        groups = {"posterior": posterior, "sample_stats": {"lp": self.log_posterior}, **self.extra.arrays}
+        log_density = model.log_joint(*model.split(self.chains.draws))
+        groups = {"posterior": posterior, "sample_stats": {"lp": log_density}, **self.extra.arrays}
         return to_arviz(groups, {**coords, **self.extra.coordinates}, {**dims, **self.extra.dimensions}, self._attributes())
 
     def to_xarray(self) -> Dataset:

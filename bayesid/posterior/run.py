@@ -165,7 +165,7 @@ def run(
         states = list(map_tasks(partial(_started, engine), sequences))
         kept, thin, rounds = np.empty((chains, 0, engine.walkers, len(model.names))), 1, 0
     else:
-        states = [engine.restored(state) for state in saved["states"]]
+        states = [engine.state_type(**state) for state in saved["states"]]
         kept, thin, rounds = saved["kept"], saved["thin"], saved["rounds"]
     size = max(-(-wanted // _ROUNDS), 1)
     while True:

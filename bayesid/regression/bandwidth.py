@@ -21,6 +21,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import dct
 
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import solve
@@ -157,9 +158,5 @@ def _band_power(residual: np.ndarray, edge: tuple[int, float, float]) -> np.ndar
     its energy is the same in many rows and in few.
     """
     duration, n = edge[2] - edge[1], len(residual)
-    # Orthonormal cosine transform: Fourier's of the rows and their mirror image.
     count = min(max(int(2.0 * duration * BAND), 1), n)
-    mirrored = np.fft.rfft(np.concatenate([residual, residual[::-1]]), axis=0)[:count]
-    z = np.real(np.exp(-0.5j * np.pi / n * np.arange(count))[:, None] * mirrored) / np.sqrt(2.0 * n)
-    z[0] /= np.sqrt(2.0)
-    return np.sum(z**2, axis=0) / duration
+    return np.sum(np.asarray(dct(residual, axis=0, norm="ortho"))[:count] ** 2, axis=0) / duration

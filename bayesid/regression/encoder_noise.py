@@ -87,7 +87,10 @@ def errors_of(
 
 @dataclass(frozen=True, eq=False)
 class _Encoders:
-    """Encoder noise of segments and what it makes of their rows; nothing is measured or smoothed before it is needed."""
+    """Encoder noise of segments and what it makes of their rows; nothing is measured or smoothed before it is needed.
+
+    Methods without a docstring are what `RegressorNoise` and `Instruments` call.
+    """
 
     #: As `errors_of` takes them.
     row_model: RowModel
@@ -133,24 +136,19 @@ class _Encoders:
         ]
 
     def present(self) -> bool:
-        """Whether there is any noise."""
         return bool((self.noise.std > 0).any())
 
     def perturbed(self, draw: int, sign: float) -> Iterator[Block]:
-        """Rows of the recordings with the noise of a draw, times the sign, added."""
         return make_blocks(self.row_model, self.again(_whole(self.segments), self.quiet, draw, sign))
 
     def simulated(self, draw: int | None) -> Iterator[Block]:
-        """Rows of the smooth motion, without noise (None) or with that of a draw."""
         return make_blocks(self.row_model, self.quiet if draw is None else self.again(self.quiet, self.quiet, draw))
 
     def pieces(self, draw: int | None) -> Iterator[Block]:
-        """Rows of pieces of the smooth motion, without noise (None) or with that of a draw."""
         parts = self.quiet_pieces
         return make_blocks(self.row_model, parts if draw is None else self.again(parts, parts, draw))
 
     def misread(self, draws: int, solution: np.ndarray) -> list[list[np.ndarray]]:
-        """What the noise of each draw adds to the modelled readings in the rows of `pieces`."""
         parts = self.quiet_pieces
         drawn = [self.again(parts, parts, k) for k in range(draws)]
         rows: list[np.ndarray] = []
@@ -175,13 +173,11 @@ class _Encoders:
         return self.pairs(self.again(self.quiet, self.quiet, draw))
 
     def described(self) -> dict[str, Any]:
-        """How large the noise is, and a doubt where it is not white."""
         sizes = {"encoder_std": self.noise.std.tolist(), "encoder_correlation": self.noise.correlation.tolist()}
         # Errors of known counts are simulated with the correlation that they have.
         return sizes | ({} if self.smoother.resolution else self._doubt())
 
     def instruments_described(self) -> dict[str, Any]:
-        """What the instruments are."""
         sources = [_SOURCES[k] for k in dict.fromkeys(self.kinds)]
         return {"instruments": sources, **(self._doubt() if "halves" in self.kinds else {})}
 

@@ -50,13 +50,7 @@ class FitOptions:
     bandwidth: float | None = None
 
     def __post_init__(self) -> None:
-        """Take a string for one name.
-
-        Raises
-        ------
-        InputError
-            ``static`` is neither ``motion`` nor ``joint``.
-        """
+        """Take a string for one name; an `InputError` where ``static`` is neither ``motion`` nor ``joint``."""
         object.__setattr__(self, "motions", names(self.motions))
         effects = self.effects.split(",") if isinstance(self.effects, str) else self.effects  # as on the command line
         object.__setattr__(self, "effects", names(effects))

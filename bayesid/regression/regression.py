@@ -22,26 +22,16 @@ from bayesid.signals.filters import LowPass
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """What is known of the parameters before any row is read.
+    """What is known of the parameters before any row is read."""
 
-    Attributes
-    ----------
-    nominal_links
-        Link parameters of the nominal model, in the order of ``base.parameter_names`` (P,), if there is one.
-    inertia_rel_std
-        Their prior relative standard deviation, see `bayesid.robot.prior.Prior.warped`; 0: exact, None: not known.
-    guessed_links
-        Where that model states no masses: about what links of these lengths weigh (P,), see `bayesid.robot.typical`.
-    bodies
-        Columns of ``base.parameter_names`` that are a body's ten parameters.
-    effect_non_negative
-        Which effect parameters cannot be negative; empty: none.
-    """
-
-    nominal_links: np.ndarray | None = None
+    nominal_links: np.ndarray | None = (
+        None  # of the nominal model, if there is one, in the order of ``base.parameter_names`` (P,)
+    )
+    #: Their prior relative standard deviation, see `bayesid.robot.prior.Prior.warped`; 0: exact, None: not known.
     inertia_rel_std: float | None = None
-    bodies: tuple[tuple[int, ...], ...] = ()
-    effect_non_negative: tuple[bool, ...] = ()
+    bodies: tuple[tuple[int, ...], ...] = ()  # columns of ``base.parameter_names`` that are a body's ten parameters
+    effect_non_negative: tuple[bool, ...] = ()  # which effect parameters cannot be negative; empty: none
+    #: Where that model states no masses: about what links of these lengths weigh (P,), see `bayesid.robot.typical`.
     guessed_links: np.ndarray | None = None
 
     @property
@@ -278,13 +268,12 @@ def _blocks_of(rows: np.ndarray, times: np.ndarray, motions: np.ndarray, labels:
 
 @dataclass(frozen=True, eq=False)
 class _GivenErrors:
-    """Draws of the regressor's errors that were given beside its blocks."""
+    """Draws of the regressor's errors that were given beside its blocks; methods are what `RegressorNoise` calls."""
 
     blocks: list[Block]  # the regression's
     errors: np.ndarray  # (draws, samples, channels, p)
 
     def perturbed(self, draw: int, sign: float) -> Iterator[Block]:
-        """The blocks with the errors of a draw, times the sign, added."""
         first = 0
         for block in self.blocks:
             rows = block.rows.copy()
@@ -293,20 +282,16 @@ class _GivenErrors:
             yield replace(block, rows=rows)
 
     def simulated(self, draw: int | None) -> Iterable[Block]:
-        """The blocks themselves (None), or with the errors of a draw."""
         return self.blocks if draw is None else self.perturbed(draw, 1.0)
 
     def misread(self, draws: int, solution: np.ndarray) -> list[list[np.ndarray]]:
-        """What the errors of each draw add to ``X b``, block by block."""
         ends = np.cumsum([len(block.rows) for block in self.blocks])[:-1]
         return [np.split(drawn @ solution, ends) for drawn in self.errors[:draws]]
 
     def present(self) -> bool:
-        """Whether there are any."""
         return bool(self.errors.any())
 
     def described(self) -> dict[str, str]:
-        """Say where the errors come from, for the document."""
         return {"regressor_noise": "as given"}
 
     def law(self) -> RegressorNoise:
@@ -338,7 +323,6 @@ class _GivenInstruments:
         return self.pairs(self.noise.perturbed(draw, 1.0))
 
     def described(self) -> dict[str, list[str]]:
-        """Say where the instruments come from, for the document."""
         return {"instruments": ["as given"]}
 
     def instruments(self) -> Instruments:

@@ -62,7 +62,7 @@ class MotionRows:
         self._blocks: dict[str, Callable[[], Iterable[Block]]] = {}
         room = {own: CACHE_BYTES for own in (True, False)}
         for name in segments:
-            own, size = name in fitted, 8 * row_count(row_model, segments[name]) * row_width(row_model)
+            own, size = name in fitted, 8 * row_count(row_model, segments[name]) * len(row_model.channels) * row_model.width
             keep = size <= room[own]
             room[own] -= size if keep else 0
             make = partial(make_blocks, row_model, segments[name], kept=keep)
@@ -91,11 +91,6 @@ def row_count(row_model: RowModel, segments: Sequence[Segment | LongSegment]) ->
     margin, step = row_model.margin, row_model.step
     moving = [s.ends[1] - s.ends[0] - s.lost(margin) - margin for s in segments if not s.poses]
     return sum(s.count for s in segments if s.poses) + sum(max(int(duration / step), 1) for duration in moving)
-
-
-def row_width(row_model: RowModel) -> int:
-    """Numbers in a row: channels times (parameters + 1)."""
-    return len(row_model.channels.names) * (row_model.base.rank + row_model.extra_columns + 1)
 
 
 @dataclass(eq=False, repr=False)

@@ -69,6 +69,11 @@ class RowModel:
         """Number of effect parameters that are estimated."""
         return int(self.free.sum())
 
+    @property
+    def width(self) -> int:
+        """Numbers in a channel's row: base and effect parameters, and the reading."""
+        return self.base.rank + self.extra_columns + 1
+
     def of_free(self, values: Iterable[_A]) -> tuple[_A, ...]:
         """Of values with one entry a parameter of the effects, those of the parameters that are estimated."""
         return tuple(compress(values, self.free))

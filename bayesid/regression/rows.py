@@ -52,6 +52,8 @@ def make_blocks(
     ``samples`` gives what to put on the rows of samples first ... last - 1 instead of regressor and readings (N, channels,
     any). Where all blocks will be ``kept``, those of a segment lie side by side, and memory is given out in large pages.
     """
+    if samples is None and row_model.point is not None:
+        samples = row_model.about_point
     for segment in segments:
         if isinstance(segment, LongSegment):
             for chunk in row_chunks(row_model, segment):
@@ -63,8 +65,6 @@ def make_blocks(
                 yield Block((samples or row_model.samples)(segment, a, b), segment.times[a:b], segment.motion, a == 0, "poses")
             continue
         a, b = _inner(row_model, segment)
-        if samples is None and row_model.point is not None:
-            samples = row_model.about_point
         start = segment.times[a] + 0.5 * row_model.step
         total = _count(row_model, float(segment.times[a]), float(segment.times[b - 1]))
         if row_model.filters:
@@ -316,8 +316,7 @@ def _filtered(
             continue
         # One sample more on each side, for the correction below; the margin always leaves that.
         state = row_model.state(segment, first - 1, last + 1)
-        width = row_model.base.rank + row_model.extra_columns + 1
-        begin, rows, energy = _empty(row_model, start, segment.times[first:last], width)
+        begin, rows, energy = _empty(row_model, start, segment.times[first:last], row_model.width)
         for k in range(0, last - first, _PANEL):
             size = min(_PANEL, last - first - k)
             wide, part = slice(k, k + size + 2), slice(k + 1, k + size + 1)

@@ -324,7 +324,7 @@ def _rows(problem: Problem, motions: Sequence[str]) -> _Rows | None:
 def _blocks(problem: Problem, motions: Sequence[str]) -> Iterable[Block]:
     """Blocks of moving rows without the paper's filters: a pilot of the fitted motions, pieces of other long ones."""
     row_model, segments = problem.row_model, [s for name in motions for s in problem.segments[name] if not s.poses]
-    count, width = row_count(row_model, segments), len(row_model.channels) * (row_model.base.rank + row_model.extra_columns + 1)
+    count, width = row_count(row_model, segments), len(row_model.channels) * row_model.width
     if row_model.filters is not None or 8 * count * width > CACHE_BYTES:
         return make_blocks(replace(row_model, filters=None), list(_pieces(row_model, segments)))
     fitted = tuple(motions) == problem.fitted

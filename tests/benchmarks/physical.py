@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from bayesid.estimators import Bounds
+from bayesid.estimators.conic.bounds import Bounds
 from bayesid.estimators.conic.links import LinkData, conic, link_prior
 from bayesid.estimators.conic.physical import evidence_of
 from bayesid.estimators.conic.problem import solve_conic

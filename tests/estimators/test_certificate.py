@@ -9,7 +9,8 @@ import pytest
 from scipy.stats import kstest
 
 from bayesid.errors import InputError
-from bayesid.estimators import Bounds, Physical, fit, load_bounds
+from bayesid.estimators import Physical, fit
+from bayesid.estimators.conic.bounds import Bounds, load_bounds
 from bayesid.estimators.conic.physical import PhysicsTest, explain
 from bayesid.estimators.conic.problem import Conic, Infeasible, solve_conic
 from bayesid.regression.regression import Regression

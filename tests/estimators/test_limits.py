@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesid.estimators import METHODS, Bounds, Huber, LeastSquares, Physical, Ridge, Student, TruncatedSVD, fit
+from bayesid.estimators import METHODS, Huber, LeastSquares, Physical, Ridge, Student, TruncatedSVD, fit
+from bayesid.estimators.conic.bounds import Bounds
 from bayesid.posterior.model import PosteriorModel
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia

@@ -25,10 +25,9 @@ from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.table import Table
 from bayesid.regression.options import FitOptions
-from bayesid.regression.problem import Problem, prepare
+from bayesid.regression.problem import Problem, absorbed_offset, prepare
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
-from bayesid.regression.structure import absorbed_offset
 from bayesid.signals.noise import NoiseModel, estimate_noise
 from bayesid.simulation.simulation import Recorder, encoder_readings, simulate
 from bayesid.simulation.trajectories import RecordedMotion, Trajectory

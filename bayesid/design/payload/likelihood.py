@@ -26,8 +26,7 @@ from scipy.optimize import least_squares
 from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects.families import LoadEffect
 from bayesid.estimators import Estimate
-from bayesid.regression.problem import Problem, relinearised
-from bayesid.regression.structure import absorbed_offset
+from bayesid.regression.problem import Problem, absorbed_offset, relinearised
 
 #: First step along the mass as a share of it, at least and at most; how each next one grows; most steps each way.
 _FIRST, _GROWTH, _STEPS = (1e-4, 0.05), 1.7, 20

@@ -31,9 +31,8 @@ from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.linalg import or_one, pseudo_inverse
 from bayesid.regression.options import FitOptions
-from bayesid.regression.problem import Problem, prepare
+from bayesid.regression.problem import Problem, absorbed_offset, prepare
 from bayesid.regression.rows import make_blocks
-from bayesid.regression.structure import absorbed_offset
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot
 from bayesid.robot.typical import states_masses, typical_links

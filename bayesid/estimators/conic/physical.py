@@ -32,7 +32,7 @@ from bayesid.estimators.estimator import OPTIONAL, Details, Estimate
 from bayesid.estimators.least_squares import completeness, likelihood_weights, make_estimate, weighted_factor
 from bayesid.estimators.prior_check import Evidence, PriorCheck, compared
 from bayesid.estimators.weights import learn_weights
-from bayesid.regression.linalg import UNSEEN, determined_inverse, pseudo_inverse, undetermined
+from bayesid.regression.linalg import UNSEEN, determined_inverse, pseudo_inverse
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
@@ -236,11 +236,10 @@ class Physical:
         learned = learn_weights(regression)
         kind = self.weights if self.weights != "auto" else likelihood_weights(learned)
         factor, scale = weighted_factor(regression, learned, kind)
-        hidden = undetermined(factor.matrix)
         middle = covariance_middle(regression, learned, scale, factor)
         matrix, target = compressed(factor.matrix, factor.target, middle.matrix)
         data = LinkData.of(regression, matrix, target, self.prior)
-        evidence = evidence_of(matrix, target, hidden, regression.base.rank)
+        evidence = evidence_of(matrix, target, factor.undetermined, regression.base.rank)
         prior = link_prior(regression, data, evidence, self.prior, self.metric, self.rel_std)
         groups = _bounds(self, regression, data)
         solution, problem, physics, closest = _solved(self, data, prior, groups)
@@ -263,7 +262,7 @@ class Physical:
             # (docs/studies/physical).
             inverse = pseudo_inverse(matrix, UNSEEN)
             covariance = _posterior(data, problem, regression.base.matrix) if joint else inverse @ inverse.T
-        estimate = make_estimate(self.name, regression, learned, factor, values, covariance, hidden)
+        estimate = make_estimate(self.name, regression, learned, factor, values, covariance)
         details = PhysicalDetails(
             **completeness(learned, middle.dispersion),
             weights=kind,
@@ -425,4 +424,4 @@ def _evidence_of_data(regression: Regression) -> Evidence:
     factor, scale = weighted_factor(regression, learned, likelihood_weights(learned))
     middle = covariance_middle(regression, learned, scale, factor)
     matrix, target = compressed(factor.matrix, factor.target, middle.matrix)
-    return evidence_of(matrix, target, undetermined(factor.matrix), regression.base.rank)
+    return evidence_of(matrix, target, factor.undetermined, regression.base.rank)

@@ -44,7 +44,7 @@ from bayesid.estimators.robust.segments import (
 )  # fmt: skip
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.blocks import Block
-from bayesid.regression.linalg import UNSEEN, or_one, pseudo_inverse, solve, standard_deviations, undetermined
+from bayesid.regression.linalg import or_one, solve, standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.regression.row_cache import Kept, RowCache
 from bayesid.signals.noise import NoiseModel
@@ -186,7 +186,7 @@ class RobustFit:
         divergence = reasons(regression, share, direction, float(np.sqrt(variance)), fits[0], fits[1], values, ordinary)
         return cls(
             regression, plain, clean, learned, loss, residual, accepted_rows, weights, q, n, variance, factor,
-            undetermined(whole.matrix), values, passes, note, divergence,
+            whole.undetermined, values, passes, note, divergence,
         )  # fmt: skip
 
     def covariance(self) -> np.ndarray:
@@ -203,7 +203,7 @@ class RobustFit:
             weighted(self.plain.rows.blocks(), self.residual, self.accepted_rows.astype(float)),
             lambda b: noise[b.group].colour_transposed(b.matrix * scale[b.group][:, None] ** 2),
         )
-        inverse = pseudo_inverse(self.factor.matrix, UNSEEN)
+        inverse = self.factor.inverse
         bread = inverse @ inverse.T / self._slope(inverse)
         covariance = bread @ middle @ bread
         if self.regression.rows.known_poles is None:  # what encoder errors make of rows is known as the filters leave it
@@ -251,15 +251,28 @@ class RobustFit:
         rows = self.clean.rows.with_pilot(tuple(weighted(pilot, residual, share)))
         return learn_weights(replace(self.clean, rows=rows, noise_std=None)).noise
 
-    def estimate(self, name: str) -> Estimate:
-        """The estimate, whose details are still to be given."""
+    def estimate(self, name: str, details: type[RobustDetails], **own: Any) -> Estimate:
+        """The estimate, with details that hold what is ``own`` to the estimator."""
         covariance = None if self.divergence else self.covariance()
-        made = make_estimate(name, self.clean, self.learned, self.factor, self.solution, covariance, self.hidden)
+        made = make_estimate(name, self.clean, self.learned, self.factor, self.solution, covariance)
         if self.divergence:
             made = replace(made, interval="none", interval_reason="the fit diverged")
-        return replace(made, noise=_with_filters(self.regression, made.noise))
+        said = details(
+            **completeness(self.learned),
+            **own,
+            scale=float(np.sqrt(self.variance)),
+            rejected_share=float(1.0 - self.accepted_rows.mean()),
+            rejected_windows=windows(self.residual, self.accepted_rows, self.regression.motion_names),
+            mean_weight_of_accepted_rows=float(self.weights[self.accepted_rows].mean()),
+            rows_per_segment=int(np.median(np.bincount(self.residual.segment))),
+            iterations=self.passes,
+            diverged=bool(self.divergence),
+            divergence=self.divergence,
+            warnings=self._warnings(name),
+        )
+        return replace(made, undetermined=self.hidden, noise=_with_filters(self.regression, made.noise), details=said)
 
-    def warnings(self, name: str) -> tuple[str, ...]:
+    def _warnings(self, name: str) -> tuple[str, ...]:
         """What the user should know of the fit."""
         if self.divergence:
             return (
@@ -270,21 +283,6 @@ class RobustFit:
         if self.passes == _PASSES:
             out.append(f"{name} did not settle in {_PASSES} rounds, so it is less sure than its intervals say: compare wls.")
         return tuple(out)
-
-    def details(self) -> dict[str, Any]:
-        """What both estimators say of the fit: the fields of `RobustDetails`."""
-        residual, accepted_rows = self.residual, self.accepted_rows
-        return {
-            **completeness(self.learned),
-            "scale": float(np.sqrt(self.variance)),
-            "rejected_share": float(1.0 - accepted_rows.mean()),
-            "rejected_windows": windows(residual, accepted_rows, self.regression.motion_names),
-            "mean_weight_of_accepted_rows": float(self.weights[accepted_rows].mean()),
-            "rows_per_segment": int(np.median(np.bincount(residual.segment))),
-            "iterations": self.passes,
-            "diverged": bool(self.divergence),
-            "divergence": self.divergence,
-        }
 
 
 def _without_filters(regression: Regression) -> Regression:
@@ -453,16 +451,13 @@ class Huber:
         rare = 1.0 - WHOLE if self.constant is None else float(chi2.sf(self.constant**2, channels))
         loss = HuberLoss(rare)
         fit = RobustFit.of(regression, loss)
-        typical = float(np.median(fit.n[fit.n > 0]))
-        made = fit.estimate(self.name)
-        details = HuberDetails(
-            **fit.details(),
+        return fit.estimate(
+            self.name,
+            HuberDetails,
             constant=float(np.sqrt(chi2.isf(rare, channels))),
             rule="95 % of normal segments keep their whole weight" if self.constant is None else "as given",
-            efficiency_for_normal_noise=loss.efficiency(typical),
-            warnings=fit.warnings(self.name),
+            efficiency_for_normal_noise=loss.efficiency(float(np.median(fit.n[fit.n > 0]))),
         )
-        return replace(made, details=details)
 
 
 @dataclass(frozen=True)
@@ -485,5 +480,4 @@ class Student:
         fit = RobustFit.of(regression, StudentLoss(_FIRST_NU, True) if self.nu is None else StudentLoss(self.nu))
         assert isinstance(fit.loss, StudentLoss)
         rule = "largest likelihood of all segments" if self.nu is None else "as given"
-        details = StudentDetails(**fit.details(), nu=fit.loss.nu, rule=rule, warnings=fit.warnings(self.name))
-        return replace(fit.estimate(self.name), details=details)
+        return fit.estimate(self.name, StudentDetails, nu=fit.loss.nu, rule=rule)
