@@ -11,24 +11,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from bayesid.dynamics import newton_euler
 from bayesid.dynamics.channels import WRENCH_NAMES, Channels, root_twists
-from bayesid.dynamics.newton_euler import (
-    BLOCK,
-    LANES,
-    STATE,
-    add,
-    advance,
-    at_rest,
-    body_columns,
-    body_wrench,
-    cross,
-    dot,
-    get_one,
-    jit,
-    put_one,
-    set_motion,
-)
-from bayesid.dynamics.newton_euler import project as project_block
+from bayesid.dynamics.newton_euler import BLOCK, LANES, STATE, add, cross, dot, get_one, jit, put_one
 from bayesid.dynamics.regressors import add_up_readings, chain
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
@@ -54,7 +39,7 @@ def _store(row, states, at, first, count):
 @jit
 def _states(q, v, a, order, parent, turn, translation, axis, slides, root, out):
     n, samples = q.shape[1], len(q)
-    rows, motion = at_rest(n, np.zeros(3), True), np.zeros((n, 5 * LANES))
+    rows, motion = newton_euler.at_rest(n, np.zeros(3), True), np.zeros((n, 5 * LANES))
     for first in range(0, samples, LANES):
         count = min(LANES, samples - first)
         if len(root):
@@ -63,10 +48,10 @@ def _states(q, v, a, order, parent, turn, translation, axis, slides, root, out):
                     rows[n, field * LANES + s] = root[first + s, field]
         _store(rows[n], out, n, first, count)
         out[first : first + count, n, V : V + 3] = 0.0
-        set_motion(motion, q, v, a, first, count, False)
+        newton_euler.set_motion(motion, q, v, a, first, count, False)
         for i in order:
             up = parent[i]
-            advance(rows[up], rows[i], motion[i], turn[i], translation[i], axis[i], slides[i])
+            newton_euler.advance(rows[up], rows[i], motion[i], turn[i], translation[i], axis[i], slides[i])
             _store(rows[i], out, i, first, count)
             for s in range(first, first + count):  # the origin's velocity: v_up + w_up x r, and along a slide
                 offset = add(get_one(out[s, i], P), get_one(out[s, up], P), -1.0)
@@ -115,7 +100,7 @@ def _wrenches(states, row_of, links, gravity, out):
         count = min(LANES, len(states) - first)
         for b in range(len(links)):
             _run(states, row_of[b], first, count, gravity, state)
-            body_wrench(state, links[b], wrench)
+            newton_euler.body_wrench(state, links[b], wrench)
             for s in range(count):
                 for k in range(6):
                     out[first + s, b, k] = wrench[k * LANES + s]
@@ -193,10 +178,10 @@ def _columns(states, twists, row_of, carries, gravity, out):
                     twist[c, k * LANES + s] = twists[first + s, c, k]
         for b in range(len(row_of)):
             _run(states, row_of[b], first, count, gravity, state)
-            body_columns(state, block)
+            newton_euler.body_columns(state, block)
             for c in range(channels):
                 if carries[c, b]:
-                    project_block(twist[c], block, row, False)
+                    newton_euler.project(twist[c], block, row, False)
                 else:
                     row[:] = 0.0
                 for s in range(count):

@@ -1,9 +1,7 @@
 """Regressors of wrenches and joint torques, batched over samples, with or without accelerations.
 
-Every channel is one idea: a **twist** S fixed in a link. Its reading is the power-conjugate of the wrench
-transmitted to the bodies beyond, ``y = S' w``: the six unit twists of a sensor frame give a wrench, a joint's
-axis gives its torque. With H and G the linear maps from all bodies' ten parameters phi to their spatial
-momentum and weight about one fixed origin,
+Every channel is a twist S fixed in a link, with reading ``y = S' w`` (`bayesid.dynamics.channels`). With H and G the linear maps
+from all bodies' ten parameters phi to their spatial momentum and weight about one fixed origin,
 
     w = d/dt (H phi) - G phi                                   (Newton and Euler)
     y = d/dt (P phi) - Q phi,   P = S' H,   Q = dS/dt' H + S' G
@@ -20,21 +18,9 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.dynamics import newton_euler
 from bayesid.dynamics.channels import Channels
-from bayesid.dynamics.newton_euler import (
-    BLOCK,
-    LANES,
-    advance,
-    at_rest,
-    body_columns,
-    body_wrench,
-    jit,
-    project,
-    set_motion,
-    store,
-    twist_and_rate,
-    weight_columns,
-)
+from bayesid.dynamics.newton_euler import BLOCK, LANES, jit
 from bayesid.robot.robot import Robot
 from bayesid.signals.arrays import kernel_input
 
@@ -172,7 +158,7 @@ def _regressor(
     accelerations, without weight; so `advance` then has the spin for w' and the velocity for A.
     """
     bodies, channels, samples = len(parent), len(twist_row), len(q)
-    state, motion = at_rest(bodies, gravity, by_momentum), np.zeros((bodies, 5 * LANES))
+    state, motion = newton_euler.at_rest(bodies, gravity, by_momentum), np.zeros((bodies, 5 * LANES))
     block, weight, row, other = np.zeros(6 * BLOCK), np.zeros(6 * BLOCK), np.zeros(BLOCK), np.zeros(BLOCK)
     twist, twist_rate = np.zeros((channels, 6 * LANES)), np.zeros((channels, 6 * LANES))
     for c in range(channels):
@@ -183,19 +169,19 @@ def _regressor(
         count = min(LANES, samples - first)
         if not carries.all():
             out[first : first + count], rest[first : first + count] = 0.0, 0.0
-        set_motion(motion, q, v, a, first, count, by_momentum)
+        newton_euler.set_motion(motion, q, v, a, first, count, by_momentum)
         for i in order:
-            advance(state[parent[i]], state[i], motion[i], turn[i], translation[i], axis[i], slides[i])
+            newton_euler.advance(state[parent[i]], state[i], motion[i], turn[i], translation[i], axis[i], slides[i])
         for c in range(channels):
             if twist_row[c] >= 0:
-                twist_and_rate(state[twist_row[c]], fixed_twist[c], twist[c], twist_rate[c])
+                newton_euler.twist_and_rate(state[twist_row[c]], fixed_twist[c], twist[c], twist_rate[c])
         for body in range(bodies):
             mine, which = column[start[body] : start[body + 1]], parameter[start[body] : start[body + 1]]
             if len(mine) == 0:
                 continue
-            body_columns(state[body], block)
+            newton_euler.body_columns(state[body], block)
             if by_momentum:
-                weight_columns(state[body], gravity, weight)
+                newton_euler.weight_columns(state[body], gravity, weight)
             for c in range(channels):
                 if not carries[c, body]:
                     continue
@@ -203,13 +189,13 @@ def _regressor(
                 if here >= 0:
                     values, others = block[here : here + BLOCK], weight[here : here + BLOCK]
                 else:
-                    project(twist[c], block, row, False)
+                    newton_euler.project(twist[c], block, row, False)
                     if by_momentum:
-                        project(twist[c], weight, other, False)
-                        project(twist_rate[c], block, other, True)
-                store(values, out, first, count, c, mine, which)
+                        newton_euler.project(twist[c], weight, other, False)
+                        newton_euler.project(twist_rate[c], block, other, True)
+                newton_euler.store(values, out, first, count, c, mine, which)
                 if by_momentum:
-                    store(others, rest, first, count, c, mine, which)
+                    newton_euler.store(others, rest, first, count, c, mine, which)
 
 
 @jit
@@ -221,16 +207,16 @@ def add_up_readings(
     ``carries`` (c, b) says which bodies a channel carries.
     """
     bodies, channels, samples = len(links), len(twist_row), len(q)
-    state, motion = at_rest(len(parent), gravity, False), np.zeros((len(parent), 5 * LANES))
+    state, motion = newton_euler.at_rest(len(parent), gravity, False), np.zeros((len(parent), 5 * LANES))
     wrench, total = np.zeros((bodies, 6 * LANES)), np.zeros(6 * LANES)
     twist, twist_rate = np.zeros(6 * LANES), np.zeros(6 * LANES)
     for first in range(0, samples, LANES):
         count = min(LANES, samples - first)
-        set_motion(motion, q, v, a, first, count, False)
+        newton_euler.set_motion(motion, q, v, a, first, count, False)
         for i in order:
-            advance(state[parent[i]], state[i], motion[i], turn[i], translation[i], axis[i], slides[i])
+            newton_euler.advance(state[parent[i]], state[i], motion[i], turn[i], translation[i], axis[i], slides[i])
         for body in range(bodies):
-            body_wrench(state[row_of[body]], links[body], wrench[body])
+            newton_euler.body_wrench(state[row_of[body]], links[body], wrench[body])
         for c in range(channels):
             total[:] = 0.0
             for body in range(bodies):
@@ -242,7 +228,7 @@ def add_up_readings(
                     out[first + s, c] = total[pick[c] * LANES + s]
                 continue
             if twist_row[c] >= 0:
-                twist_and_rate(state[twist_row[c]], fixed_twist[c], twist, twist_rate)
+                newton_euler.twist_and_rate(state[twist_row[c]], fixed_twist[c], twist, twist_rate)
             else:
                 for k in range(6):
                     twist[k * LANES : (k + 1) * LANES] = fixed_twist[c, k]

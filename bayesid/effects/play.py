@@ -5,19 +5,16 @@ smoothed positions do not show. So the link's motion is a spline in time, fitted
 
     sum_k (q_motor(t_k) - q_link(t_k) - lean(torque(t_k)))^2 -> min
 
-by Gauss-Newton steps, in which a change d of the link's motion changes the torque by the joint's own inertia times d''. The
-sum has a minimum wherever a crossing is assumed at a wrong time. Splines that can do little more than the slow motion
-find the crossings roughly, finer ones from there to the sample. Where the finest ones leave more than elsewhere, a crossing went
-wrong on the way and is sought anew. While no encoder moves, links stand still: they lean with
-the weight that they hold.
+by Gauss-Newton steps, in which a change d of the link's motion changes the torque by the joint's own inertia times d''. The sum
+has a minimum wherever a crossing is assumed at a wrong time, and one in which the link chatters between the teeth instead of
+resting on them. Splines that can do little more than the slow motion find the crossings roughly, finer ones from there to the
+sample. While no encoder moves, links stand still: they lean with the weight that they hold.
 
-Where a link crosses the play of its gear is sought anew in intervals in which a fit of the encoders' readings went wrong. Such
-a fit has a minimum wherever a crossing is assumed at a wrong time, and one in which the link chatters between the teeth
-instead of resting on them. Then the readings are missed by far more than their errors, but in these intervals only. There, at
-most two crossings at any times, from any side to any other, are tried, the rest of the motion as it was: with splines B that
-the link moves by, a change s of how far it is behind leaves ``|(1 - P)(r - s)|^2`` of the readings r, P projecting on B. The
-best is taken if it leaves less, and not much more than elsewhere: where there is next to no torque, the side follows from the
-encoder, not from the splines' own torque.
+In intervals in which the finest splines miss the readings by far more than their errors, a crossing went wrong on the way. There,
+at most two crossings at any times, from any side to any other, are tried, the rest of the motion as it was: with splines B that
+the link moves by, a change s of how far it is behind leaves ``|(1 - P)(r - s)|^2`` of the readings r, P projecting on B. The best
+is taken if it leaves less, and not much more than elsewhere: where there is next to no torque, the side follows from the encoder,
+not from the splines' own torque.
 """
 
 from __future__ import annotations

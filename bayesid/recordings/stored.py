@@ -96,7 +96,8 @@ class StoredTable:
 
     def read(self, first: int, last: int) -> Arrays:
         """Samples first ... last - 1 by group of columns (k, columns), and their times ``t`` (k, 1)."""
-        numbers = [self._part(k)[max(first - a, 0) : last - a] for k, a in self._parts(first, last)]
+        parts = range(int(np.searchsorted(self.starts, first, side="right")) - 1, int(np.searchsorted(self.starts[:-1], last)))
+        numbers = [self._part(k)[max(first - self.starts[k], 0) : last - self.starts[k]] for k in parts]
         whole = numbers[0].copy() if len(numbers) == 1 else np.concatenate(numbers)
         out, at = {}, 0
         for group, columns in self.layout.groups.items():
@@ -129,13 +130,6 @@ class StoredTable:
         if "torques" in arrays:
             arrays["torques"] = of_every_joint(arrays["torques"], self.layout.groups["torques"], self.joints)
         return Table(times, arrays["positions"], torques=arrays.get("torques"), wrench=arrays.get("wrench"), source=self.source)
-
-    def _parts(self, first: int, last: int) -> Iterator[tuple[int, int]]:
-        """Parts that samples are in, and the first sample of each."""
-        k = int(np.searchsorted(self.starts, first, side="right")) - 1
-        while k < len(self.parts) and self.starts[k] < last:
-            yield k, int(self.starts[k])
-            k += 1
 
     def _part(self, k: int) -> np.ndarray:
         numbers = _numbers(self.layout, self.parts[k])
