@@ -86,7 +86,7 @@ def parameter_figure(names: Sequence[str], region: Region, torque_per_unit: np.n
         if at.any():
             ax.barh(y[at], unsure[order][at], height=0.62, color=colour, alpha=0.55, lw=0, label=label)
     ax.plot(moves[order], y, "o", ms=4, mfc="white", mec=GREY, label="moved by the value itself")
-    list_rows(ax, [names[k] for k in order.tolist()], 0.55)
+    list_rows(ax, [names[int(k)] for k in order], 0.55)
     ax.set(xlim=(0.0, None), xlabel="root mean square torque in the fitted motions, at the joint it moves most [N m or N]")
     add_legend(axes)
     return figure

@@ -97,7 +97,7 @@ def expected(report: SetReport, names: Sequence[str], ax: Any = None) -> Figure:
     ax = axes[0, 0]
     colours = [CLASSES[bases[k].kind] for k in order]
     ax.barh(np.arange(len(bases)), values[order], color=colours, height=0.72, left=0.0)
-    list_rows(ax, [names[k] for k in order.tolist()], fontsize=7.5)
+    list_rows(ax, [names[int(k)] for k in order], fontsize=7.5)
     ax.set_xscale("log")
     ends = values[values > 0]
     ax.set_xlim(10 ** np.floor(np.log10(ends.min()) - 0.1), 10 ** np.ceil(np.log10(ends.max()) + 0.1))
