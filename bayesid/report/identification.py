@@ -15,21 +15,7 @@ from bayesid.report.accuracy import certificate_section
 from bayesid.report.identification_figures import bandwidth_sensitivity, intervals_figure
 from bayesid.report.identification_limits import limits_section
 from bayesid.report.motion_figures import measured_against_predicted, residuals
-from bayesid.report.page import (
-    below,
-    cards,
-    figure,
-    fold,
-    lead,
-    note,
-    page,
-    physical,
-    run_times,
-    svg,
-    terms,
-    versions,
-    warnings,
-)
+from bayesid.report.page import below, cards, figure, fold, lead, note, page, physical, run_times, svg, terms, versions, warnings
 from bayesid.results.files import report_of
 from bayesid.results.identification import Identification
 from bayesid.robot import inertia

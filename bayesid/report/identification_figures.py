@@ -35,12 +35,7 @@ WEAK = 1.96
 
 @styled
 def parameter_intervals(
-    names: Sequence[str],
-    change: np.ndarray,
-    ends: np.ndarray,
-    scale: np.ndarray,
-    classes: Sequence[str],
-    ax: Any = None,
+    names: Sequence[str], change: np.ndarray, ends: np.ndarray, scale: np.ndarray, classes: Sequence[str], ax: Any = None
 ) -> Figure:
     """Base parameters as dots with 95 % intervals, in units of their natural size, and how sure each is; into one axis, no more.
 

@@ -85,10 +85,7 @@ class Changes(ShownResult):
         c = self.comparison
         problem = c.recording.problem
         since, readings = c.reference.problem.experiment.name, channel_text(problem.channel, problem.fitted)
-        lines = [
-            f"{problem.experiment.name} since {since}: {c.verdict.replace('_', ' ')} ({readings})",
-            verdict_sentence(c),
-        ]
+        lines = [f"{problem.experiment.name} since {since}: {c.verdict.replace('_', ' ')} ({readings})", verdict_sentence(c)]
         for x in c.changes:
             for v in (*x.values, *x.derived):
                 name, text, half, _, unit = value_text(v)

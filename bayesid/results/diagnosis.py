@@ -113,10 +113,7 @@ class Diagnosis(ShownResult):
 
     def _parts(self) -> list[str]:
         readings = channel_text(self.data.channel, dict.fromkeys(s.motion for s in self.data.segments))
-        lines = [
-            f"{self.data.experiment.name}: {self.verdict.replace('_', ' ')} ({readings})",
-            verdict_sentence(self),
-        ]
+        lines = [f"{self.data.experiment.name}: {self.verdict.replace('_', ' ')} ({readings})", verdict_sentence(self)]
         for k in range(len(self.found)):
             known = self.part is not None and self.shares(k) is not None
             share = f"; without it {share_range(self, k)} is open again" if known else ""

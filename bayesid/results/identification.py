@@ -236,10 +236,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
                 "reason": smoother.reason,
                 "bandwidths_tried": None
                 if tried is None
-                else {
-                    "bandwidth_hz": tried.bandwidths.tolist(),
-                    "error_over_first": np.sqrt(tried.error).tolist(),
-                },
+                else {"bandwidth_hz": tried.bandwidths.tolist(), "error_over_first": np.sqrt(tried.error).tolist()},
             },
             **self.estimate.to_dict(),
             "link_parameters": self.link_parameters.tolist(),
