@@ -16,6 +16,7 @@ from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
 from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.results.files import SCHEMA, ShownResult, strict
+from bayesid.results.fitted_model import filter_section
 from bayesid.rounding import DASH, channel_text, number, percent
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable
 
@@ -141,17 +142,11 @@ class Accuracy(ShownResult):
     def to_dict(self) -> dict[str, Any]:
         """What ``accuracy.json`` holds."""
         bench, problem = self.bench, self.bench.problem
-        low_pass = problem.row_model.filters
         base, truth = problem.row_model.base, bench.truth[: bench.rank]
         document: dict[str, Any] = {
-            "schema": SCHEMA,
-            "experiment": bench.experiment.name,
-            "channel": problem.channel,
-            "method": bench.method.name,
-            "motions": list(problem.fitted),
-            "predicted_motions": list(bench.predicted_motions),
-            "static": problem.static,
-            "filter": {"l": None if low_pass is None else low_pass.l, "d": None if low_pass is None else low_pass.d},
+            "schema": SCHEMA, "experiment": bench.experiment.name, "channel": problem.channel, "method": bench.method.name,
+            "motions": list(problem.fitted), "predicted_motions": list(bench.predicted_motions),
+            "static": problem.static, "filter": filter_section(problem.row_model),
             "truth": "nominal" if bench.nominal else "estimate",
             "base_parameters": [
                 {"name": n, "unit": u, "label": label, "value": v, "std": s}

@@ -16,7 +16,7 @@ from bayesid.estimators.weights import Weights
 from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
 from bayesid.results.files import SCHEMA, ShownResult, strict
-from bayesid.results.fitted_model import UrdfLinks
+from bayesid.results.fitted_model import UrdfLinks, filter_section, noise_section
 from bayesid.rounding import DASH, chance, channel_text, number, percent, with_interval
 from bayesid.section import Cell, Part, ShownSection, ShownTable
 from bayesid.validation.agreement import EstimatorDifference, HausmanTest
@@ -168,6 +168,40 @@ class HasEntries:
         tables = {name: e.to_dataframe() for name, e in self.estimates.items()}
         return concat(tables, names=["method"]).reset_index(level="method").reset_index(drop=True)
 
+    def plot_errors(self, *, ax: Any = None) -> Figure:
+        """Draw what each estimator's predictions miss, motion by motion.
+
+        Parameters
+        ----------
+        ax
+            matplotlib's Axes to draw into: one a motion, or two where the second shows the noise; default a figure of its own.
+
+        Raises
+        ------
+        InputError
+            A regression of one's own was compared, which has no motions to predict; or the number of axes is another.
+        """
+        if "errors" not in (drawn := figures_of(self)):
+            raise InputError("a regression of one's own has no motions to predict; compare estimators on an experiment")
+        return drawn["errors"](ax=ax)
+
+    def plot_values(self, *, ax: Any = None) -> Figure:
+        """Draw the base parameters by each estimator with their 95 % intervals, around those of the reference.
+
+        Parameters
+        ----------
+        ax
+            matplotlib's Axes to draw into, one; default a figure of its own.
+
+        Raises
+        ------
+        InputError
+            No estimator has intervals.
+        """
+        if "values" not in (drawn := figures_of(self)):
+            raise InputError("no estimator here has intervals to compare by; add wls to the methods")
+        return drawn["values"](ax=ax)
+
 
 #: Errors of at most so many motions stand in the overview.
 _SHOWN_MOTIONS = 3
@@ -236,40 +270,6 @@ class Comparison(HasEntries, ShownResult):
             for name, e in self.estimates.items()
         }
 
-    def plot_errors(self, *, ax: Any = None) -> Figure:
-        """Draw what each estimator's predictions miss, motion by motion.
-
-        Parameters
-        ----------
-        ax
-            matplotlib's Axes to draw into: one a motion, or two where the second shows the noise; default a figure of its own.
-
-        Raises
-        ------
-        InputError
-            A regression of one's own was compared, which has no motions to predict; or the number of axes is another.
-        """
-        if self.problem is None:
-            raise InputError("a regression of one's own has no motions to predict; compare estimators on an experiment")
-        return figures_of(self)["errors"](ax=ax)
-
-    def plot_values(self, *, ax: Any = None) -> Figure:
-        """Draw the base parameters by each estimator with their 95 % intervals, around those of the reference.
-
-        Parameters
-        ----------
-        ax
-            matplotlib's Axes to draw into, one; default a figure of its own.
-
-        Raises
-        ------
-        InputError
-            No estimator has intervals.
-        """
-        if self.reference is None:
-            raise InputError("no estimator here has intervals to compare by; add wls to the methods")
-        return figures_of(self)["values"](ax=ax)
-
     def plot(self, *, ax: Any = None) -> Figure:
         """Draw the errors, or the values where there are no motions; as `plot_errors` and `plot_values`."""
         return self.plot_values(ax=ax) if self.problem is None else self.plot_errors(ax=ax)
@@ -306,17 +306,14 @@ class Comparison(HasEntries, ShownResult):
     def to_dict(self) -> dict[str, Any]:
         """What ``comparison.json`` holds."""
         base, problem = self.regression.base, self.problem
-        filters = None if problem is None else problem.row_model.filters
         return {
             "schema": SCHEMA,
             "experiment": None if problem is None else problem.experiment.name,
             "channel": None if problem is None else problem.channel,
             "motions": list(self.regression.motion_names if problem is None else problem.fitted),
             "static": "none" if problem is None else problem.static,
-            "filter": {"l": None if filters is None else filters.l, "d": None if filters is None else filters.d},
-            "rank": base.rank,
-            "base_map": base.matrix.tolist(),
-            "link_parameter_names": list(base.parameter_names),
+            "filter": {"l": None, "d": None} if problem is None else filter_section(problem.row_model),
+            "rank": base.rank, "base_map": base.matrix.tolist(), "link_parameter_names": list(base.parameter_names),
             "methods": [
                 {**e.to_dict(), **({"same_as": list(same)} if (same := self.same_as(e.name)) else {})} for e in self.entries
             ],
@@ -328,15 +325,11 @@ class Comparison(HasEntries, ShownResult):
                 "pairs": [asdict(g) for g in self.gaps],
                 "hausman": [asdict(t) for t in self.tests],
             },
-            "noise_std": {
-                group: dict(zip(self.regression.channel_names, map(float, model.std), strict=True))
-                for group, model in self.weights.noise.items()
-            },
-            "model_complete": self.weights.complete,
-            "warnings": list(self.warnings),
+            "noise_std": noise_section(self.weights.noise, self.regression.channel_names),
+            "model_complete": self.weights.complete, "warnings": list(self.warnings),
             # All times stand here: whatever else there is does not change from run to run.
             "runtime_s": {**self.seconds, "methods": {e.name: e.seconds for e in self.entries}},
-        }
+        }  # fmt: skip
 
 
 def _title(result: Comparison) -> str:

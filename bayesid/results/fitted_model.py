@@ -23,6 +23,7 @@ from bayesid.regression.row_model import RowModel
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot, load_robot
 from bayesid.robot.urdf import JointDynamics
+from bayesid.signals.noise import NoiseModel
 
 
 def fitted_model(
@@ -85,6 +86,17 @@ def placed(effect: Effect, robot: Robot) -> str:
         return effect.name
     own = effect.where if effect.joint is None else robot.joint_names[effect.joint]
     return f"{effect.name} at {effect.where}" + ("" if own == effect.where else f" ({own})")
+
+
+def filter_section(row_model: RowModel) -> dict[str, float | None]:
+    """``filter`` in documents of fits: the paper's low-pass filters [rad/s], None without."""
+    filters = row_model.filters
+    return {"l": None if filters is None else filters.l, "d": None if filters is None else filters.d}
+
+
+def noise_section(noise: Mapping[str, NoiseModel], channels: Sequence[str]) -> dict[str, dict[str, float]]:
+    """``noise_std`` in documents of fits: by group of motions and channel [unit of the channel]."""
+    return {group: dict(zip(channels, map(float, model.std), strict=True)) for group, model in noise.items()}
 
 
 def robot_section(experiment: Experiment) -> dict[str, Any]:

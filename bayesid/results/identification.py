@@ -25,7 +25,15 @@ from bayesid.regression.parallel import in_order, one_blas_thread
 from bayesid.regression.problem import Problem
 from bayesid.results.estimated import HasEstimate, PlotsPredictions
 from bayesid.results.files import SCHEMA, Files, Result
-from bayesid.results.fitted_model import UrdfLinks, by_effect, fitted_model, impossible_bodies, robot_section
+from bayesid.results.fitted_model import (
+    UrdfLinks,
+    by_effect,
+    filter_section,
+    fitted_model,
+    impossible_bodies,
+    noise_section,
+    robot_section,
+)  # fmt: skip
 from bayesid.robot.urdf import write_urdf
 from bayesid.rounding import LEVEL
 from bayesid.section import as_html, as_text
@@ -218,46 +226,31 @@ class Identification(PlotsPredictions, HasEstimate, Result):
 
     def to_dict(self) -> dict[str, Any]:
         """What ``estimate.json`` holds."""
-        nominal = self.problem.regression.knowledge.nominal_links
-        filters, smoother, tried = self.problem.row_model.filters, self.problem.smoother, self.problem.bandwidths
+        problem, nominal = self.problem, self.problem.regression.knowledge.nominal_links
+        smoother, tried = problem.smoother, problem.bandwidths
         return {
-            "schema": SCHEMA,
-            "experiment": self.problem.experiment.name,
+            "schema": SCHEMA, "experiment": problem.experiment.name,
             "prior_against_data": None if self.prior_check is None else self.prior_check.to_dict(),
-            "channel": self.problem.channel,
-            "motions": list(self.problem.fitted),
-            "robot": robot_section(self.problem.experiment),
-            "static": self.problem.static,
+            "channel": problem.channel, "motions": list(problem.fitted), "robot": robot_section(problem.experiment),
+            "static": problem.static,
             "filter": {
-                "l": None if filters is None else filters.l,
-                "d": None if filters is None else filters.d,
-                "bandwidth_hz": smoother.bandwidth,
-                "row_rate_hz": 1.0 / self.problem.row_model.step,
-                "reason": smoother.reason,
-                "bandwidths_tried": None
-                if tried is None
-                else {"bandwidth_hz": tried.bandwidths.tolist(), "error_over_first": np.sqrt(tried.error).tolist()},
+                **filter_section(problem.row_model), "bandwidth_hz": smoother.bandwidth,
+                "row_rate_hz": 1.0 / problem.row_model.step, "reason": smoother.reason,
+                "bandwidths_tried": None if tried is None else {
+                    "bandwidth_hz": tried.bandwidths.tolist(), "error_over_first": np.sqrt(tried.error).tolist(),
+                },
             },
             **self.estimate.to_dict(),
-            "link_parameters": self.link_parameters.tolist(),
-            "nominal_links": None if nominal is None else nominal.tolist(),
-            "effects": self.effects(),
-            "physically_consistent": self.physically_consistent,
-            "identified_urdf": self.urdf.to_dict(),
-            "unexcited": list(self.unexcited),
+            "link_parameters": self.link_parameters.tolist(), "nominal_links": None if nominal is None else nominal.tolist(),
+            "effects": self.effects(), "physically_consistent": self.physically_consistent,
+            "identified_urdf": self.urdf.to_dict(), "unexcited": list(self.unexcited),
             "lost_to_static_run": list(self.not_shown.static_run),
             "lost_to_effects": {label: list(effects) for label, effects in self.not_shown.effects.items()},
-            "noise_std": {
-                group: dict(zip(self.problem.row_model.channels.names, map(float, model.std), strict=True))
-                for group, model in self.estimate.noise.items()
-            },
-            "fit": [p.to_dict() for p in self.fitted],
-            "validation": [p.to_dict() for p in self.validation],
-            "agreement": [a.to_dict() for a in self.agreements],
-            "warnings": list(self.warnings),
-            "runtime_s": self.seconds,
+            "noise_std": noise_section(self.estimate.noise, problem.row_model.channels.names),
+            "fit": [p.to_dict() for p in self.fitted], "validation": [p.to_dict() for p in self.validation],
+            "agreement": [a.to_dict() for a in self.agreements], "warnings": list(self.warnings), "runtime_s": self.seconds,
             **({} if self.certificate is None else {"certificate": self.certificate.to_dict()}),
-        }
+        }  # fmt: skip
 
     def _beside(self) -> Files:
         robot, urdf = self.problem.experiment.robot, self.urdf

@@ -239,20 +239,6 @@ class LoadedComparison(HasEntries, Loaded):
             validation=_predictions(d.get("validation", ())),
         )  # fmt: skip
 
-    def plot_errors(self, *, ax: Any = None) -> Figure:
-        """Draw what each estimator's predictions miss; as `bayesid.Comparison.plot_errors`."""
-        return self._figure("errors", ax)
-
-    def plot_values(self, *, ax: Any = None) -> Figure:
-        """Draw the base parameters by each estimator; as `bayesid.Comparison.plot_values`."""
-        return self._figure("values", ax)
-
-    def _figure(self, name: str, ax: Any) -> Figure:
-        drawn = figures_of(self)
-        if name not in drawn:
-            raise InputError(f"{self.path}: holds no {name} to draw")
-        return drawn[name](ax=ax)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LoadedPosterior(HasParameters, _WithParameters, _WithPredictions):

@@ -14,7 +14,7 @@ from bayesid.posterior.result import Posterior
 from bayesid.regression.problem import Problem
 from bayesid.results.estimated import PlotsPredictions
 from bayesid.results.files import SCHEMA, Files, Result
-from bayesid.results.fitted_model import by_effect, joint_dynamics, robot_section
+from bayesid.results.fitted_model import by_effect, filter_section, joint_dynamics, robot_section
 from bayesid.robot.urdf import JointDynamics, write_urdf
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import Prediction
@@ -70,23 +70,15 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
 
     def to_dict(self) -> dict[str, Any]:
         """What ``posterior.json`` holds."""
-        filters, own = self.problem.row_model.filters, super().to_dict()
+        problem, own = self.problem, super().to_dict()
         return {
-            "schema": SCHEMA,
-            "experiment": self.problem.experiment.name,
-            "prior_against_data": own["prior_against_data"],
-            "channel": self.problem.channel,
-            "motions": list(self.problem.fitted),
-            "robot": robot_section(self.problem.experiment),
-            "effects": self.effects(),
-            "filter": {"l": None if filters is None else filters.l, "d": None if filters is None else filters.d},
-            "inertia_rel_std": self.rel_std,
+            "schema": SCHEMA, "experiment": problem.experiment.name, "prior_against_data": own["prior_against_data"],
+            "channel": problem.channel, "motions": list(problem.fitted), "robot": robot_section(problem.experiment),
+            "effects": self.effects(), "filter": filter_section(problem.row_model), "inertia_rel_std": self.rel_std,
             **own,
-            "fit": [p.to_dict() for p in self.fitted],
-            "validation": [p.to_dict() for p in self.validation],
-            "warnings": list(self.warnings),
-            "runtime_s": self.seconds,
-        }
+            "fit": [p.to_dict() for p in self.fitted], "validation": [p.to_dict() for p in self.validation],
+            "warnings": list(self.warnings), "runtime_s": self.seconds,
+        }  # fmt: skip
 
     def _beside(self) -> Files:
         files: dict[str, Callable[[Path], Any]] = {"posterior.nc": lambda path: write_netcdf(self.to_arviz(), path)}
