@@ -108,21 +108,12 @@ class Changes(ShownResult):
         c = self.comparison
         minimum = {h.change.spec: h.value for h in c.hidden}
         return strict({
-            "schema": SCHEMA,
-            "experiment": self.experiment.name,
-            "reference": self.reference,
-            "channel": c.recording.problem.channel,
-            "verdict": c.verdict,
-            "summary": verdict_sentence(c),
-            "effects": [change_dict(x) for x in c.changes],
-            "where": [self._place(p) for p in c.errors.places],
-            "gap": self._gap(),
-            "remainder": self._remainder(),
+            "schema": SCHEMA, "experiment": self.experiment.name, "reference": self.reference,
+            "channel": c.recording.problem.channel, "verdict": c.verdict, "summary": verdict_sentence(c),
+            "effects": [change_dict(x) for x in c.changes], "where": [self._place(p) for p in c.errors.places],
+            "gap": self._gap(), "remainder": self._remainder(),
             "candidates": [
-                {
-                    "name": h.name, "where": h.where, "log_bayes_factor": e,
-                    "minimum_detectable": minimum.get(h.spec, np.inf),
-                }
+                {"name": h.name, "where": h.where, "log_bayes_factor": e, "minimum_detectable": minimum.get(h.spec, np.inf)}
                 for h, e in c.scores
             ],
             "identification": {
@@ -130,8 +121,7 @@ class Changes(ShownResult):
                 "dispersion": c.selection.marginal().dispersion, "tolerance_factor": c.selection.factor,
                 "bandwidth_hz": c.recording.problem.smoother.bandwidth,
             },
-            "next_experiment": next_experiment(c),
-            "runtime_s": self.seconds,
+            "next_experiment": next_experiment(c), "runtime_s": self.seconds,
         })  # fmt: skip
 
     def _beside(self) -> Files:
@@ -141,13 +131,12 @@ class Changes(ShownResult):
     def _gap(self) -> dict[str, Any]:
         p = self.comparison.errors
         after = p.after if self.comparison.changes else p.tolerance
-        steps = [{"name": a.change.spec, "after": float(np.sqrt(m))}
-                 for a, m in zip(self.comparison.selection.accepted, p.changes, strict=True)]  # fmt: skip
+        accepted = zip(self.comparison.selection.accepted, p.changes, strict=True)
         return {
             "metric": f"rms on {p.segments} parts held out in turn, over what the recording's own fit leaves",
-            "before": float(np.sqrt(p.reference)), "after": float(np.sqrt(after)), "floor": float(np.sqrt(p.floor)),
+            "before": np.sqrt(p.reference), "after": np.sqrt(after), "floor": np.sqrt(p.floor),
             "closed": p.closed, "closed_low": p.closed_low,
-            "steps": steps, "tolerance_alone": float(np.sqrt(p.tolerance)),
+            "steps": [{"name": a.change.spec, "after": np.sqrt(m)} for a, m in accepted], "tolerance_alone": np.sqrt(p.tolerance),
         }  # fmt: skip
 
     def _remainder(self) -> dict[str, Any]:

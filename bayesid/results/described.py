@@ -88,9 +88,7 @@ def description_dict(description: Description, names: tuple[str, ...]) -> dict[s
     d = description
     effect = d.term.effect
     return {
-        "is": "a description, not a name",
-        "effect": effect.spec,
-        "file": DRAFT,
+        "is": "a description, not a name", "effect": effect.spec, "file": DRAFT,
         "formulas": {k: v for k, v in d.table.items() if k not in ("parameters", "summary")},
         "parameters": {
             key: with_ends(value, std, unit)
@@ -105,8 +103,7 @@ def description_dict(description: Description, names: tuple[str, ...]) -> dict[s
             }
             for c, causes in zip(d.terms, d.causes, strict=True)
         ],
-        "candidates": d.candidates,
-        "gap": None if d.gap is None else d.gap.to_dict(),
+        "candidates": d.candidates, "gap": None if d.gap is None else d.gap.to_dict(),
     }  # fmt: skip
 
 

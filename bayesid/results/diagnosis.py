@@ -201,22 +201,14 @@ class Diagnosis(ShownResult):
     def to_dict(self) -> dict[str, Any]:
         """What ``diagnosis.json`` holds."""
         return {
-            "schema": SCHEMA,
-            "experiment": self.data.experiment.name,
-            "channel": self.data.channel,
-            "verdict": self.verdict,
+            "schema": SCHEMA, "experiment": self.data.experiment.name, "channel": self.data.channel, "verdict": self.verdict,
             "effects": [self._effect(f, k) for k, f in enumerate(self.found)],
-            "remainder": self._remainder(),
-            "where": [d.to_dict() for d in self.where],
-            "gap": self._gap(),
+            "remainder": self._remainder(), "where": [d.to_dict() for d in self.where], "gap": self._gap(),
             "errors": [e.to_dict() for e in self.errors],
             "description": None if self.description is None else description_dict(self.description, self.data.channels.names),
             "candidates": [
-                {
-                    "name": p.term.effect.name, "where": p.term.effect.where,
-                    "log_bayes_factor": self.evidence(p),
-                    "minimum_detectable": p.minimum,
-                }
+                {"name": p.term.effect.name, "where": p.term.effect.where, "log_bayes_factor": self.evidence(p),
+                 "minimum_detectable": p.minimum}
                 for p in self.search.proposals
             ],
             "identification": {
@@ -228,8 +220,7 @@ class Diagnosis(ShownResult):
             "base_parameter_shifts": [
                 dict(zip(("label", "before", "after", "sigmas"), shift, strict=True)) for shift in self.shifts
             ],
-            "remarks": list(self.remarks),
-            "next_experiment": self.next_experiment,
+            "remarks": list(self.remarks), "next_experiment": self.next_experiment,
             "next_motion": None if self.telling is None else telling_dict(self.telling, NEXT_MOTION),
             "runtime_s": self.seconds,
         }  # fmt: skip

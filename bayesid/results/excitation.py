@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import tomli_w
 from bayesid.design.excitation.blocks import ScriptedBlock, StopAndGo
 from bayesid.design.excitation.diagnosability import Diagnosability
 from bayesid.design.excitation.series import FourierSeries
-from bayesid.design.tell.choose import RivalPair, Telling
+from bayesid.design.tell.choose import Telling
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.results.files import SCHEMA, Files, ShownResult, strict
 from bayesid.rounding import number, percent
@@ -143,15 +143,10 @@ class Excitation(ShownResult):
 
     @property
     def gain(self) -> float:
-        """How many times smaller typical standard deviations are than those of the best random motion; nan without any."""
+        """How many times smaller typical standard deviations (or the condition number) are than of the best random motion; or nan."""
         if not len(self.random):
             return float("nan")
-        return float(np.exp(0.5 * (self.value - self.random.max()))) if self.criterion != "condition" else self.condition_gain
-
-    @property
-    def condition_gain(self) -> float:
-        """How many times smaller the condition number is than that of the best random motion."""
-        return float(np.exp(self.value - self.random.max()))
+        return float(np.exp((1.0 if self.criterion == "condition" else 0.5) * (self.value - self.random.max())))
 
     def nearest(self, kind: str) -> LimitUse:
         """The limit of a kind that the motion comes nearest to."""
@@ -164,29 +159,17 @@ class Excitation(ShownResult):
 
     def to_dict(self) -> dict[str, Any]:
         """What ``excitation.json`` holds."""
-        uses = [
-            {"kind": u.kind, "where": u.where, "reached": u.reached, "limit": u.limit, "unit": u.unit, "ratio": u.ratio,
-             "kept": u.kept}
-            for u in self.limits
-        ]  # fmt: skip
-        parameters = [
-            {"name": n, "label": label, "unit": unit, "std": s}
-            for n, label, unit, s in zip(self.base.names, self.base.labels, self.base.units, self.std, strict=True)
-        ]
-        document = {
+        base, s, t = self.base, self.series, self.trajectory
+        return strict({
             "schema": SCHEMA, "experiment": self.name, "readings": self.readings,
             "criterion": {
                 "name": self.criterion, "value": self.value, "random": self.random, "history": self.history,
                 "gain_over_best_random": self.gain, "best_random": self.random.max(initial=-np.inf),
             },
             "interrupted": self.interrupted, "options": self.options,
-            "series": {
-                "period_s": self.series.period, "centre": self.series.centre, "sine": self.series.sine,
-                "cosine": self.series.cosine,
-            },
+            "series": {"period_s": s.period, "centre": s.centre, "sine": s.sine, "cosine": s.cosine},
             "trajectory": {
-                "table": "trajectory.csv", "samples": len(self.trajectory.times), "duration_s": float(self.trajectory.times[-1]),
-                "period_s": self.trajectory.period,
+                "table": TRAJECTORY, "samples": len(t.times), "duration_s": float(t.times[-1]), "period_s": t.period,
             },
             "blocks": [
                 {"kind": b.kind, "shows": b.shows, "table": f"{b.trajectory.name}.csv", "samples": len(b.trajectory.times),
@@ -197,7 +180,7 @@ class Excitation(ShownResult):
                 "table": "stop-and-go.csv", "stops": len(self.static_run.rows), "duration_s": self.static_run.seconds,
                 "every_sample": self.static_run.every_sample,
             },
-            "within_limits": self.within_limits, "limits": uses,
+            "within_limits": self.within_limits, "limits": [{**asdict(u), "kept": u.kept} for u in self.limits],
             "diagnosability": None if self.diagnosability is None else {
                 "value": self.diagnosability.value, "hidden": self.diagnosability.hidden,
                 "effects": [
@@ -207,10 +190,13 @@ class Excitation(ShownResult):
                 ],
             },
             "quantities": [{"name": name, "unit": unit, "std": std} for name, unit, std in self.quantities],
-            "rank": self.base.rank, "possible_rank": self.possible, "condition_number": self.condition_number,
-            "base_parameters": parameters, "notes": self.notes, "runtime_s": self.seconds,
-        }  # fmt: skip
-        return strict(document)
+            "rank": base.rank, "possible_rank": self.possible, "condition_number": self.condition_number,
+            "base_parameters": [
+                {"name": n, "label": label, "unit": unit, "std": std}
+                for n, label, unit, std in zip(base.names, base.labels, base.units, self.std, strict=True)
+            ],
+            "notes": self.notes, "runtime_s": self.seconds,
+        })  # fmt: skip
 
     def _beside(self) -> Files:
         motions = [self.trajectory, *(b.trajectory for b in self.blocks)]
@@ -229,15 +215,14 @@ class Excitation(ShownResult):
     def _parts(self) -> list[str | ShownTable]:
         lines: list[str | ShownTable] = [
             f"{self.name}: exciting trajectory of {self.trajectory.times[-1]:g} s for {self.readings}",
-            f"{self.criterion_text}",
+            self.criterion_text,
         ]
         if len(self.random):
+            smaller = f"{number(self.gain, 2)} times smaller than with the best of {len(self.random)} random motions"
+            whole = self.criterion == "condition"
             lines.append(
-                f"standard deviations about {number(self.gain, 2)} times smaller than with the best of {len(self.random)} "
-                "random motions within the same limits"
-                if self.criterion != "condition" else
-                f"condition number {number(self.gain, 2)} times smaller than with the best of {len(self.random)} random motions"
-            )  # fmt: skip
+                f"condition number {smaller}" if whole else f"standard deviations about {smaller} within the same limits"
+            )
         rank, condition = f"{self.base.rank} of {self.possible}", number(self.condition_number, 3)
         lines.append(f"{rank} base parameters determined, condition number {condition}")
         rows = []
@@ -296,12 +281,12 @@ def telling_sentence(telling: Telling, file: str) -> str:
 
 
 def _hopeless(t: Telling) -> str:
-    """Which rivals no motion tells apart; nothing where there are none."""
-    return (
-        f" Of {t.tried} motions within the limits none tells {listed_pairs(t.hopeless)}: another sensor or channel may."
-        if t.hopeless
-        else ""
-    )
+    """Which rivals no motion tells apart, ``a from b``, where a is the true one; a few of them, nothing where there are none."""
+    if not t.hopeless:
+        return ""
+    pairs = "; ".join(f"{p.true} from {p.other}" for p in t.hopeless[:_NAMED])
+    pairs += f" and {len(t.hopeless) - _NAMED} more" if len(t.hopeless) > _NAMED else ""
+    return f" Of {t.tried} motions within the limits none tells {pairs}: another sensor or channel may."
 
 
 def duration(telling: Telling) -> str:
@@ -313,12 +298,6 @@ def listed_names(names: tuple[str, ...]) -> str:
     """Rivals in a sentence; semicolons where a rival is several effects."""
     comma = "; " if any(", " in name for name in names) else ", "
     return f"{comma.join(names[:-1])} and {names[-1]}"
-
-
-def listed_pairs(pairs: tuple[RivalPair, ...]) -> str:
-    """``a from b``, where a is the true one; a few of them."""
-    shown = "; ".join(f"{p.true} from {p.other}" for p in pairs[:_NAMED])
-    return shown + (f" and {len(pairs) - _NAMED} more" if len(pairs) > _NAMED else "")
 
 
 def chance(probability: float) -> str:
@@ -339,12 +318,8 @@ def telling_dict(telling: Telling, file: str) -> dict[str, Any]:
     """For the JSON file: the motion's file, the probabilities, and every pair."""
     t = telling
     return {
-        "file": file,
-        "motion": t.label,
-        "duration": float(t.trajectory.times[-1] - t.trajectory.times[0]),
-        "probability": t.probability,
-        "wrong": t.wrong,
-        "sizes": "estimated" if t.estimated else "usual",
+        "file": file, "motion": t.label, "duration": float(t.trajectory.times[-1] - t.trajectory.times[0]),
+        "probability": t.probability, "wrong": t.wrong, "sizes": "estimated" if t.estimated else "usual",
         "rivals": [{"effects": name, "probability": w} for name, w in zip(t.rivals, t.weights, strict=True)],
         "pairs": [
             {
@@ -353,8 +328,7 @@ def telling_dict(telling: Telling, file: str) -> dict[str, Any]:
             }
             for p in t.pairs
         ],
-        "tried": t.tried,
-        "notes": list(t.notes),
+        "tried": t.tried, "notes": list(t.notes),
     }  # fmt: skip
 
 

@@ -63,15 +63,11 @@ class Exported(ShownResult):
     def to_dict(self) -> dict[str, Any]:
         """What ``export.json`` holds."""
         return {
-            "schema": SCHEMA,
-            "experiment": self.name,
-            "method": self.method,
-            "channel": self.channel,
-            "to": list(self.to),
-            "about": dict(self.about),
+            "schema": SCHEMA, "experiment": self.name, "method": self.method, "channel": self.channel,
+            "to": list(self.to), "about": dict(self.about),
             "not_held": {
                 form: {name: {"value": value, "unit": unit} for name, (value, unit) in values.items()}
                 for form, values in self.left_out.items()
             },
             "warnings": list(self.warnings),
-        }
+        }  # fmt: skip

@@ -106,20 +106,14 @@ class Identifiability(ShownResult):
     def to_dict(self) -> dict[str, Any]:
         """What ``identifiability.json`` holds."""
         return strict({
-            "schema": SCHEMA,
-            "experiment": self.name,
-            "source": self.source,
+            "schema": SCHEMA, "experiment": self.name, "source": self.source,
             "motions": [{"name": n, "duration": d} for n, d in self.motions.items()],
-            "still_joints": list(self.still),
-            "default_sensor_set": self.main.sensor_set.name,
-            "classes": WORDS,
-            "sensor_sets": [_set(r) for r in self.sensor_sets],
-            "advice": [{"about": a.about, "text": a.text, "gain": a.gain} for a in self.advice],
+            "still_joints": list(self.still), "default_sensor_set": self.main.sensor_set.name, "classes": WORDS,
+            "sensor_sets": [_set(r) for r in self.sensor_sets], "advice": [asdict(a) for a in self.advice],
             "tell": [
                 {"sensor_set": name, "pairs": [asdict(pair) for pair in pairs]} for name, pairs in self.separations.items()
             ],
-            "warnings": list(self.warnings),
-            "runtime_s": self.seconds,
+            "warnings": list(self.warnings), "runtime_s": self.seconds,
         })  # fmt: skip
 
 
@@ -129,24 +123,17 @@ def own_std(link: LinkExpectation, report: SetReport) -> float | None:
 
 
 def _set(report: SetReport) -> dict[str, Any]:
-    bases = report.base_parameters
     return {
-        "name": report.sensor_set.name,
-        "title": report.sensor_set.title,
-        "recorded": report.recorded,
-        "noise": report.noise,
-        "noise_std": report.noise_std,
-        "rank": report.rank,
-        "rank_of_any_motion": report.rank_of_any_motion,
-        "better_than_size": report.well_known,
+        "name": report.sensor_set.name, "title": report.sensor_set.title, "recorded": report.recorded,
+        "noise": report.noise, "noise_std": report.noise_std, "rank": report.rank,
+        "rank_of_any_motion": report.rank_of_any_motion, "better_than_size": report.well_known,
         "condition_number": report.condition_number,
-        "parameters": [_link(link, report) for link in report.parameters],
-        "parameters_by_class": dict(counts(report)),
+        "parameters": [_link(link, report) for link in report.parameters], "parameters_by_class": dict(counts(report)),
         "base_parameters": [
             {"name": b.name, "label": b.label, "unit": b.unit, "class": b.kind, "expected_std": b.std, "size": b.size,
              "relative_std": None if not b.size else b.std / b.size, "prior_share": b.prior_share,
              "prior_driven": None if b.prior_share is None else b.prior_share > PRIOR_DRIVEN}
-            for b in bases
+            for b in report.base_parameters
         ],
         "not_excited": list(report.unexcited),
         "effects": [{"name": e.name, "unit": e.unit, "expected_std": e.std} for e in report.effects],

@@ -118,9 +118,7 @@ class Inspection(ShownResult):
         robot, sensor = self.experiment.robot, self.experiment.sensor
         limits = {k: getattr(robot, k) for k in ("lower", "upper", "velocity_limit", "effort_limit")}
         return strict({
-            "schema": SCHEMA,
-            "experiment": self.name,
-            "warnings": list(self.warnings),
+            "schema": SCHEMA, "experiment": self.name, "warnings": list(self.warnings),
             "mistakes": [m.to_dict() for m in self.mistakes],
             "robot": {
                 "name": robot.name, "joints": list(robot.joint_names), "prismatic": robot.prismatic.tolist(), **limits,
@@ -132,12 +130,9 @@ class Inspection(ShownResult):
                 "joint": sensor.joint, "translation": sensor.translation.tolist(), "rpy": sensor.rpy.tolist(),
                 "force_std": sensor.force_std, "torque_std": sensor.torque_std,
             },
-            "effects": list(self.experiment.effects),
-            "channel": self.channel,
+            "effects": list(self.experiment.effects), "channel": self.channel,
             "motions": [m.to_dict() for m in self.motions],
-            "bandwidth_hz": self.bandwidth,
-            "bandwidth_reason": self.bandwidth_reason,
-            "position_std": self.position_std,
+            "bandwidth_hz": self.bandwidth, "bandwidth_reason": self.bandwidth_reason, "position_std": self.position_std,
             "left": [left_dict(p) for p in self.left],
             "sensor_sets": [
                 {"readings": s.name, "rank": s.base.rank, "available": s.available, "base_parameters": list(s.base.names),
