@@ -9,9 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from markupsafe import Markup, escape
+
+from bayesid.recordings.experiment import Motion
+from bayesid.recordings.table import WRENCH_COLUMNS
 
 CYCLE = ("#1d4ed8", "#c2410c", "#0f766e", "#7c3aed", "#be185d", "#a16207", "#475569", "#0891b2", "#65a30d", "#dc2626")
 WIDTH = 748.8
@@ -19,6 +23,10 @@ WIDTH = 748.8
 _FLAT = 0.12
 _LONGEST_NUMBER = 8
 _GREY, _DARK, _EDGE, _GRID = "#475569", "#334155", "#94a3b8", "#e2e8f0"
+
+
+#: Curves that share a panel: its title with the unit, their names (k,) and values (N, k).
+Group: TypeAlias = tuple[str, Sequence[str], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -89,6 +97,25 @@ class Panel:
         at = float(self.across(np.array(value)))
         c, d = self.down(np.array([middle - thickness / 2, middle + thickness / 2])).tolist()
         return _line(at, c, at, d, colour, 1.2)
+
+
+def recorded(
+    motion: Motion, most: int, position_unit: str = "rad or m", torque_unit: str = "N m or N"
+) -> tuple[np.ndarray, list[Group], list[int]]:
+    """Times (N,) [s] of about ``most`` samples of a recording, its groups of columns, and the first samples after holes."""
+    table = motion.table
+    stride = 1 if motion.kind == "poses" else max(len(table) // most, 1)
+    groups: list[Group] = [
+        (f"joint positions [{position_unit}]", [f"q{j + 1}" for j in range(table.positions.shape[1])], table.positions)
+    ]
+    if table.wrench is not None:
+        groups.append(("forces [N]", list(WRENCH_COLUMNS[:3]), table.wrench[:, :3]))
+        groups.append(("moments [N m]", list(WRENCH_COLUMNS[3:]), table.wrench[:, 3:]))
+    if table.torques is not None:
+        known = list(table.torque_joints)
+        groups.append((f"joint torques [{torque_unit}]", [f"tau{j + 1}" for j in known], table.torques[:, known]))
+    gaps = [-(-part.start // stride) for part in table.segments()[1:]]
+    return table.times[::stride], [(title, names, values[::stride]) for title, names, values in groups], gaps
 
 
 def chart(height: float, parts: Sequence[str]) -> Markup:

@@ -8,8 +8,9 @@ import numpy as np
 from markupsafe import Markup
 
 from bayesid.arguments import call
+from bayesid.recordings.experiment import Motion
 from bayesid.recordings.table import WRENCH_COLUMNS
-from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, key, key_width, limits, text_width, write
+from bayesid.report.charts import CYCLE, WIDTH, Group, Panel, chart, key, key_width, limits, recorded, text_width, write
 from bayesid.report.page import below, bullets, cards, figure, fold, lead, note, page, terms, warnings
 from bayesid.results.files import report_of
 from bayesid.results.inspection import Inspection, MotionSummary
@@ -59,31 +60,25 @@ def joint_ranges(
     return chart(top + height + 33.0, parts)
 
 
-def recording(
-    times: np.ndarray, panels: Sequence[tuple[str, str, Sequence[str], np.ndarray]], breaks: Sequence[int], poses: bool
-) -> Markup:
-    """One recording as it is over time [s], or numbered poses: a panel for each group of columns.
-
-    A panel is title, unit, names of the curves (k,) and curves (N, k); no line is drawn across ``breaks``, the first samples
-    after gaps.
-    """
+def recording(times: np.ndarray, groups: Sequence[Group], gaps: Sequence[int] = (), poses: bool = False) -> Markup:
+    """Groups of curves over time [s], or numbered poses, a panel a group; no line is drawn across ``gaps``, as by `recorded`."""
     left, right, top, height, gap = 50.4, 72.0, 18.0, 108.0, 24.0
     x = np.arange(1.0, len(times) + 1) if poses else times
-    x = np.insert(x, list(breaks), np.nan)
+    x = np.insert(x, list(gaps), np.nan)
     across, parts = limits([x], 0.03 if poses else 0.01), []
-    for p, (title, unit, names, values) in enumerate(panels):
-        values = np.insert(values, list(breaks), np.nan, axis=0)
+    for p, (title, names, values) in enumerate(groups):
+        values = np.insert(values, list(gaps), np.nan, axis=0)
         place = top + p * (height + gap)
         panel = Panel(left, place, WIDTH - left - right, height, across, limits([values], 0.05))
-        last = p == len(panels) - 1
+        last = p == len(groups) - 1
         label = ("pose" if poses else "time [s]") if last else ""
-        parts.append(panel.frame(f"{title} [{unit}]", label, x_numbers=last, whole=poses))
+        parts.append(panel.frame(title, label, x_numbers=last, whole=poses))
         middle = place + height / 2 - _LINE * (len(names) - 1) / 2
         for k, name in enumerate(names):
             colour = CYCLE[k % len(CYCLE)]
             parts.append((panel.dots if poses else panel.curve)(x, values[:, k], colour))
             parts.append(key(WIDTH - right + 8.0, middle + _LINE * k, name, colour))
-    return chart(top + len(panels) * height + (len(panels) - 1) * gap + 33.0, parts)
+    return chart(top + len(groups) * height + (len(groups) - 1) * gap + 33.0, parts)
 
 
 def _cut(name: str) -> str:
@@ -123,7 +118,7 @@ def check_report(check: Inspection) -> str:
         [f"q{j + 1}  {name}" for j, name in enumerate(robot.joint_names)], robot.lower, robot.upper,
         [(m.motion.name, m.lowest, m.highest) for m in shown], units,
     )  # fmt: skip
-    drawn = [(f"{m.motion.name} ({m.motion.role})", figure(_figure(m, robot.prismatic), "")) for m in shown]
+    drawn = [(f"{m.motion.name} ({m.motion.role})", figure(_figure(m.motion, robot.prismatic), "")) for m in shown]
     sections = [
         ShownSection("Robot", [
             terms(_robot(check)), _joints(check, units),
@@ -330,19 +325,8 @@ def _unit(channel: str, prismatic: np.ndarray) -> str:
     return "N" if channel.startswith("f") else "N m"
 
 
-def _figure(m: MotionSummary, prismatic: np.ndarray) -> Markup:
+def _figure(motion: Motion, prismatic: np.ndarray) -> Markup:
     """The recording as it is, thinned to what a page can show."""
-    table, poses = m.motion.table, m.motion.kind == "poses"
-    stride = 1 if poses else max(-(-len(table) // _PLOTTED), 1)
-    times = table.times[::stride]
-    numbers = range(1, len(prismatic) + 1)
     unit = "m" if prismatic.all() else "rad" if not prismatic.any() else "rad or m"
-    panels = [("joint positions", unit, [f"q{j}" for j in numbers], table.positions[::stride])]
-    if table.wrench is not None:
-        panels.append(("forces", "N", list(WRENCH_COLUMNS[:3]), table.wrench[::stride, :3]))
-        panels.append(("moments", "N m", list(WRENCH_COLUMNS[3:]), table.wrench[::stride, 3:]))
-    if table.torques is not None:
-        joints = list(table.torque_joints)
-        panels.append(("joint torques", "N m", [f"tau{j + 1}" for j in joints], table.torques[::stride, joints]))
-    breaks = [int(np.searchsorted(times, end)) for _, end in m.gaps]
-    return recording(times, panels, [b for b in breaks if b < len(times)], poses)
+    times, groups, gaps = recorded(motion, _PLOTTED, unit, "N m")
+    return recording(times, groups, gaps, motion.kind == "poses")

@@ -34,7 +34,7 @@ from bayesid.report.diagnosis_figures import (
     signals,
     waterfall,
 )
-from bayesid.report.excitation import PAIRS, motion_plot
+from bayesid.report.excitation import PAIRS, motion_groups, motion_plot
 from bayesid.report.identification import mood_of
 from bayesid.report.page import below, bullets, cards, figure, fold, how, lead, note, page, svg, versions, warnings
 from bayesid.results.described import not_distinguished, shares, terms_of, use_line
@@ -432,7 +432,9 @@ def _noise_floor(d: Diagnosis, views: Views) -> ShownSection:
 def _next(d: Diagnosis) -> ShownSection:
     parts: list[Part] = [d.next_experiment or "Nothing is open."]
     if d.telling is not None:
-        parts += [pair_table(d.telling), note(PAIRS), figure(motion_plot(d.telling), "The motion of next_motion.csv.")]
+        told = d.telling.trajectory
+        plot = motion_plot(told, motion_groups(told))
+        parts += [pair_table(d.telling), note(PAIRS), figure(plot, "The motion of next_motion.csv.")]
     return ShownSection("What next", parts)
 
 

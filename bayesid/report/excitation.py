@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from markupsafe import Markup
 
 from bayesid.arguments import argument
-from bayesid.design.tell.choose import Telling
 from bayesid.drawing import Figures, figures_of
-from bayesid.report.charts import WIDTH, Panel, chart, key, key_width, limits, text_width, write
+from bayesid.report.charts import WIDTH, Group, Panel, chart, key, key_width, limits, text_width, write
 from bayesid.report.check import recording
 from bayesid.report.page import bullets, cards, figure, fold, lead, note, page, run_times, terms, versions, warnings
 from bayesid.results.excitation import (
@@ -28,35 +27,35 @@ from bayesid.results.excitation import (
 from bayesid.results.files import report_of
 from bayesid.rounding import DASH, number, percent
 from bayesid.section import Html, ShownSection, ShownTable
+from bayesid.simulation.trajectories import Trajectory
 
 _PLOTTED = 1000
+_Loads: TypeAlias = Mapping[str, tuple[tuple[str, ...], np.ndarray]]
 _ROW, _BEST, _OTHER, _OVER = 15.0, "#1d4ed8", "#94a3b8", "#b91c1c"
 
 
-def motion(times: np.ndarray, panels: Sequence[tuple[str, str, list[str], np.ndarray]]) -> Markup:
-    """The motion in time (N,) [s]; panels as `motion_panels` makes them."""
-    stride = max(-(-len(times) // _PLOTTED), 1)
-    thinned = [(title, unit, names, values[::stride]) for title, unit, names, values in panels]
-    return recording(times[::stride], thinned, [], False)
+def motion_plot(trajectory: Trajectory, groups: Sequence[Group]) -> Markup:
+    """A motion in time, its curves as `motion_groups` makes them."""
+    stride = max(-(-len(trajectory.times) // _PLOTTED), 1)
+    return recording(trajectory.times[::stride], [(title, names, values[::stride]) for title, names, values in groups])
 
 
-def motion_panels(
-    parts: Sequence[tuple[str, str, np.ndarray]], loads: Mapping[str, tuple[tuple[str, ...], np.ndarray]]
-) -> list[tuple[str, str, list[str], np.ndarray]]:
-    """Title, unit, names and values of each panel: joint positions and rates, joint torques and the sensor's readings.
-
-    ``parts`` are title, unit and values (N, n) of positions, velocities and accelerations; ``loads`` names and values (N, c),
-    by ``torque`` and ``wrench``.
-    """
-    names = [f"q{j + 1}" for j in range(parts[0][2].shape[1])]
-    panels = [(title, unit, names, values) for title, unit, values in parts]
+def motion_groups(
+    t: Trajectory, units: Sequence[str] = ("rad or m", "per s", "per s²"), loads: _Loads | None = None
+) -> list[Group]:
+    """Joint positions, velocities and accelerations in three units, then names (c,) and values (N, c) of ``loads`` by channel."""
+    names, loads = [f"q{j + 1}" for j in range(t.positions.shape[1])], loads or {}
+    joints = ("positions", t.positions), ("velocities", t.velocities), ("accelerations", t.accelerations)
+    groups: list[Group] = [
+        (f"joint {title} [{unit}]", names, values) for (title, values), unit in zip(joints, units, strict=True)
+    ]
     if "torque" in loads:
-        panels.append(("joint torques of the nominal links", "N m", list(loads["torque"][0]), loads["torque"][1]))
+        groups.append(("joint torques of the nominal links [N m]", *loads["torque"]))
     if "wrench" in loads:
         channels, values = loads["wrench"]
-        panels.append(("forces on the sensor", "N", list(channels[:3]), values[:, :3]))
-        panels.append(("moments on the sensor", "N m", list(channels[3:]), values[:, 3:]))
-    return panels
+        groups.append(("forces on the sensor [N]", channels[:3], values[:, :3]))
+        groups.append(("moments on the sensor [N m]", channels[3:], values[:, 3:]))
+    return groups
 
 
 def limit_shares(rows: Sequence[tuple[str, str, float]]) -> Markup:
@@ -84,19 +83,6 @@ def beside_random(value: float, others: np.ndarray, label: str) -> Markup:
     return chart(104.0, parts)
 
 
-def telling_panels(telling: Telling) -> list[tuple[str, str, list[str], np.ndarray]]:
-    """Panels of the motion: positions, velocities and accelerations of the joints."""
-    t = telling.trajectory
-    parts = [("joint positions", "rad or m", t.positions), ("joint velocities", "per s", t.velocities),
-             ("joint accelerations", "per s²", t.accelerations)]  # fmt: skip
-    return motion_panels(parts, {})
-
-
-def motion_plot(telling: Telling) -> Markup:
-    """The same as a figure of a report."""
-    return motion(telling.trajectory.times, telling_panels(telling))
-
-
 #: What the numbers of `pair_table` are.
 PAIRS = (
     "Noncentrality: what the best fit of the other effect and of everything else leaves of the motion's readings, in squared "
@@ -121,11 +107,11 @@ def distinguishing_report(result: DistinguishingMotion) -> str:
         f"motion are {weights}." if t.estimated else
         "The recordings do not show each of these effects, so each is taken at its usual size, as often as any other."
     )  # fmt: skip
+    plot = motion_plot(t.trajectory, motion_groups(t.trajectory))
+    drawn = figure(plot, f"Joint motion as in {TRAJECTORY}: it starts and ends at rest.")
     sections = [
         ShownSection("Every pair", [recorded + sizes, pair_table(t), note(PAIRS)]),
-        ShownSection(
-            "The motion", [figure(motion_plot(t), f"Joint motion as in {TRAJECTORY}: it starts and ends at rest.")], "Motion"
-        ),
+        ShownSection("The motion", [drawn], "Motion"),
         ShownSection("Details", [bullets(t.notes), terms([run_times(result.seconds), versions("numpy", "scipy", "pin")])]),
     ]
     kicker = "The motion within limits that best tells effects apart"
@@ -139,14 +125,9 @@ _TITLES = {
 }  # fmt: skip
 
 
-def panels_of(result: Excitation) -> list[tuple[str, str, list[str], np.ndarray]]:
-    """Panels of the motion, as `motion_panels` makes them."""
-    t = result.trajectory
+def _groups(result: Excitation) -> list[Group]:
     units = ("m",) if result.prismatic.all() else ("rad",) if not result.prismatic.any() else ("rad", "m")
-    titles = (("joint positions", ""), ("joint velocities", "/s"), ("joint accelerations", "/s²"))
-    values = (t.positions, t.velocities, t.accelerations)
-    parts = [(title, " or ".join(u + per for u in units), v) for (title, per), v in zip(titles, values, strict=True)]
-    return motion_panels(parts, result.loads)
+    return motion_groups(result.trajectory, [" or ".join(u + per for u in units) for per in ("", "/s", "/s²")], result.loads)
 
 
 @report_of.register
@@ -170,7 +151,7 @@ def excitation_report(result: Excitation) -> str:
     static, deviation = _static_run(result), "expected standard deviation"
     sections = [
         ShownSection("The motion", [
-            figure(motion(result.trajectory.times, panels_of(result)),
+            figure(motion_plot(result.trajectory, _groups(result)),
                    "Joint motion as in trajectory.csv, and what the nominal links take along it."),
             figure(beside_random(result.value, result.random, axis) if len(result.random) else "",
                    "What the motion was optimised for, beside random motions of the same series within the same limits, each "
@@ -297,16 +278,9 @@ def _plain(value: Any) -> str:
 
 
 @figures_of.register
-def _(result: Excitation) -> Figures:
-    return _figures(result.trajectory.times, panels_of(result))
-
-
-@figures_of.register
-def _(result: DistinguishingMotion) -> Figures:
-    return _figures(result.telling.trajectory.times, telling_panels(result.telling))
-
-
-def _figures(times: np.ndarray, panels: Sequence[tuple[str, str, list[str], np.ndarray]]) -> Figures:
+def _(result: Excitation | DistinguishingMotion) -> Figures:
     from bayesid.report.motion_figures import curves  # the report needs no matplotlib
 
-    return {"motion": partial(curves, times, [(f"{title} [{unit}]", names, values) for title, unit, names, values in panels])}
+    planned = result.trajectory if isinstance(result, Excitation) else result.telling.trajectory
+    groups = _groups(result) if isinstance(result, Excitation) else motion_groups(planned)
+    return {"motion": partial(curves, planned.times, groups)}

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from bayesid.drawing import Figures, figures_of
 from bayesid.recordings.experiment import Motion
 from bayesid.recordings.table import WRENCH_COLUMNS
-from bayesid.report.charts import CYCLE
+from bayesid.report.charts import CYCLE, Group, recorded
 from bayesid.report.figures import (
     DENSE,
     MEASURED,
@@ -36,27 +36,16 @@ _PLOTTED = 4000
 
 def recording_figure(motion: Motion, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
     """Positions and readings of a recording as it is, a panel a group of columns."""
-    table = motion.table
-    stride = 1 if motion.kind == "poses" else max(len(table) // _PLOTTED, 1)
-    numbers = range(1, table.positions.shape[1] + 1)
-    groups = [("joint positions [rad or m]", [f"q{j}" for j in numbers], table.positions)]
-    if table.wrench is not None:
-        groups.append(("forces [N]", list(WRENCH_COLUMNS[:3]), table.wrench[:, :3]))
-        groups.append(("moments [N m]", list(WRENCH_COLUMNS[3:]), table.wrench[:, 3:]))
-    if table.torques is not None:
-        known = list(table.torque_joints)
-        groups.append(("joint torques [N m or N]", [f"tau{j + 1}" for j in known], table.torques[:, known]))
-    gaps = [-(-part.start // stride) for part in table.segments()[1:]]
-    shown = [(title, names, values[::stride]) for title, names, values in groups]
-    return curves(table.times[::stride], shown, channels, ax, gaps=gaps, poses=motion.kind == "poses")
+    times, groups, gaps = recorded(motion, _PLOTTED)
+    return curves(times, groups, channels, ax, gaps=gaps, poses=motion.kind == "poses")
 
 
 @styled
 def curves(
-    times: np.ndarray, groups: Sequence[tuple[str, Sequence[str], np.ndarray]], channels: Sequence[str] | str | None = None,
-    ax: Any = None, *, gaps: Sequence[int] = (), poses: bool = False,
+    times: np.ndarray, groups: Sequence[Group], channels: Sequence[str] | str | None = None, ax: Any = None, *,
+    gaps: Sequence[int] = (), poses: bool = False,
 ) -> Figure:  # fmt: skip
-    """Groups of curves over time [s], or numbered poses, a panel a group: its title, names (k,) and values (N, k).
+    """Groups of curves over time [s], or numbered poses, a panel a group.
 
     No line is drawn across ``gaps``, the first samples after holes.
     """

@@ -143,7 +143,7 @@ class Excitation(ShownResult):
 
     @property
     def gain(self) -> float:
-        """How many times smaller typical standard deviations (or the condition number) are than of the best random motion; or nan."""
+        """How many times smaller standard deviations, or the condition number, are than for the best random motion, or nan."""
         if not len(self.random):
             return float("nan")
         return float(np.exp((1.0 if self.criterion == "condition" else 0.5) * (self.value - self.random.max())))

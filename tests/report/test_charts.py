@@ -53,14 +53,14 @@ def test_joint_ranges_are_readable(count, name):
 def test_recordings_are_readable(start, scale, middle):
     times = start + np.arange(0, 100, 0.01)
     values = middle + scale * np.column_stack([np.sin(times), np.cos(times)])
-    panels = [(title, "rad", ["q1", "q2"], values) for title in ("positions", "forces")]
+    panels = [(title, ["q1", "q2"], values) for title in ("positions [rad]", "forces [N]")]
     assert_readable(recording(times, panels, [500], False))
-    few = [(title, unit, names, v[:9]) for title, unit, names, v in panels]
+    few = [(title, names, v[:9]) for title, names, v in panels]
     assert_readable(recording(times[:9], few, [], True))
 
 
 def test_one_pose_is_drawn():
-    svg = recording(np.zeros(1), [("positions", "rad", ["q1"], np.ones((1, 1)))], [], True)
+    svg = recording(np.zeros(1), [("positions [rad]", ["q1"], np.ones((1, 1)))], [], True)
     assert svg.count("<circle") == 1
 
 
