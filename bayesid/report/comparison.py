@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -11,7 +10,7 @@ from matplotlib.figure import Figure
 
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import CYCLE
-from bayesid.report.figures import GREY, NOISE, add_legend, given_axes, list_rows, make_grid, plain_log, styled
+from bayesid.report.figures import GREY, NOISE, add_legend, draw_intervals, given_axes, list_rows, make_grid, plain_log, styled
 from bayesid.report.identification import how_motions, mood_of
 from bayesid.report.page import below, cards, figure, fold, how, lead, note, page, run_times, svg, terms, versions, warnings
 from bayesid.results.comparison import Comparison, Entry, in_sigmas, overview_table, values_table
@@ -27,94 +26,6 @@ from bayesid.validation.prediction import BAND
 _TWO_COLUMNS = 14
 #: Names of at most so many channels stand in one line.
 _ONE_LINE = 9
-
-
-@styled
-def values_side_by_side(
-    names: Sequence[str], estimators: Sequence[str], difference: np.ndarray, ends: np.ndarray, reference: str, ax: Any = None
-) -> Figure:
-    """Each base parameter (r,) by each estimator (e,), with intervals, around the reference.
-
-    ``difference`` (e, r) and ``ends`` (2, e, r) of 95 % intervals are less the reference's value, in its standard deviations;
-    nan where there is none.
-    """
-    count, many = len(names), len(estimators)
-    columns = 2 if count > _TWO_COLUMNS and ax is None else 1
-    per_column = -(-count // columns)
-    slot = min(0.8 / many, 0.2)
-    margin = 0.35 + 0.062 * max(map(len, names), default=0)
-    height = per_column * max(0.085 * many + 0.08, 0.26)
-    figure, axes = make_grid(1, columns, height, left=margin, gap=margin, sharex=True, ax=ax)
-    reach = np.abs(np.concatenate([difference[None], ends]))
-    reach = reach[np.isfinite(reach)]
-    usual, longest = np.percentile(reach, [90, 100]) if len(reach) else (3.0, 3.0)
-    # Everything, unless a few lie so far out that the others would be dots.
-    limit = float(max(1.05 * (longest if longest <= 4.0 * usual else 1.5 * usual), 3.0))
-    for column, ax in enumerate(axes[0]):
-        part = slice(column * per_column, min((column + 1) * per_column, count))
-        y = np.arange(part.stop - part.start)
-        ax.axvspan(-1.96, 1.96, color=NOISE, alpha=0.12, lw=0)
-        ax.axvline(0.0, color=GREY, lw=0.8)
-        for e, name in enumerate(estimators):
-            colour, at = CYCLE[e % len(CYCLE)], y + (e - 0.5 * (many - 1)) * slot
-            d, (low, high) = difference[e, part], ends[:, e, part]
-            sure = np.isfinite(high - low) & np.isfinite(d)
-            ax.hlines(at[sure], low[sure], high[sure], color=colour, lw=1.6, alpha=0.5)
-            inside = np.abs(d) <= limit
-            ax.plot(d[inside], at[inside], "o", ms=3.6, mew=0, color=colour, label=name)
-            for k in np.flatnonzero(np.abs(d) > limit):
-                side = np.sign(d[k])
-                ax.plot(0.985 * side * limit, at[k], ">" if side > 0 else "<", ms=4.5, mew=0, color=colour)
-        ax.hlines(y[1:] - 0.5, -limit, limit, color="#e2e8f0", lw=0.7)
-        list_rows(ax, names[part], 0.55)
-        ax.set(xlim=(-limit, limit), xlabel=f"value less that of {reference} [standard deviations of {reference}]")
-    add_legend(axes)
-    return figure
-
-
-@styled
-def errors_side_by_side(
-    estimators: Sequence[str],
-    baselines: int,
-    motions: Sequence[tuple[str, Sequence[str], *tuple[np.ndarray, ...]]],
-    ax: Any = None,
-) -> Figure:
-    """What each estimator's prediction misses, motion by motion: in per cent of the signal and in units of the noise.
-
-    Into one axis a motion of the user's own, in per cent alone. Estimators are from top to bottom (e,), the first ``baselines``
-    of them not fitted. A motion is its title, channels (c,), error of each channel over its signal (e, c), of all channels
-    (e,), residual of each channel in units of the noise (e, c), of all (e,).
-    """
-    y = np.arange(len(estimators))
-    margin = 0.35 + 0.066 * max(map(len, estimators))
-    lines = 1 if len(motions[0][1]) <= _ONE_LINE else 2
-    columns = 1 if ax is not None and len(given_axes(ax)) == len(motions) else 2
-    figure, axes = make_grid(len(motions), columns, 0.24 * len(estimators) + 0.1, left=margin, top=0.5 * lines, gap=0.35,
-                             sharey=True, sharex="col", ax=ax)  # fmt: skip
-    for row, (title, channels, *parts) in zip(axes, motions, strict=True):
-        titles = f"{title}: error below {BAND:g} Hz [% of the signal]", "what is left, in units of the noise"
-        for ax, title, each, whole in zip(row, titles, parts[::2], parts[1::2], strict=False):
-            for c, channel in enumerate(channels):
-                ax.plot(each[:, c], y, "|", ms=8, mew=1.4, color=CYCLE[c % len(CYCLE)], label=channel)
-            ax.plot(whole, y, "o", ms=6, color="#0f172a", mew=0, label="all channels")
-            if baselines:
-                ax.axhspan(-0.5, baselines - 0.5, color="#f1f5f9", lw=0, zorder=0)
-            ax.set_ylim(len(y) - 0.4, -0.6)
-            ax.set_yticks(y, list(estimators))
-            ax.tick_params(axis="y", length=0, labelleft=ax is row[0])
-            ax.set_title(title)
-        for ax in row[1:]:
-            ax.axvline(1.0, color=NOISE, lw=1.4, zorder=0)
-    for column, floor in zip(axes.T, (None, 0.8), strict=False):
-        values = np.concatenate([line.get_xdata() for ax in column for line in ax.lines if line.get_marker() in ("|", "o")])
-        values = np.asarray(values, float)[np.asarray(values, float) > 0]
-        low, high = (values.min(), values.max()) if len(values) else (1.0, 1.0)
-        for ax in column:
-            ax.set_xscale("log")
-            ax.set_xlim(min(low / 1.15, floor or np.inf), max(high * 1.15, low * 2.0))
-            plain_log(ax.xaxis)
-    add_legend(axes, lines=lines)
-    return figure
 
 
 _SHOWN_MOTIONS = 4
@@ -309,33 +220,85 @@ def _baseline(name: str) -> str:
     return "the nominal model" if name == "nominal" else "the nominal model with fitted effects"
 
 
+@styled
 def errors_figure(result: Comparison | LoadedComparison, ax: Any = None) -> Figure:
-    """What each estimator's predictions miss, motion by motion."""
+    """What each estimator's prediction misses, motion by motion: in per cent of the signal and in units of the noise.
+
+    Into one axis a motion of the user's own, in per cent alone. Estimators are from top to bottom, those not fitted on grey.
+    """
     entries = [e for e in (*result.baselines, *result.entries) if not e.refusal]
-    motions = []
-    for k in range(min(len(entries[0].predictions), _SHOWN_MOTIONS)):
-        ps = [e.predictions[k] for e in entries]
-        times = [1.0 if p.noise_known else np.nan for p in ps]
-        motions.append(
-            (ps[0].motion, ps[0].channel_names,
-             100 * np.array([p.nrmse for p in ps]), 100 * np.array([p.relative_error for p in ps]),
-             np.array([one * p.whitened_rms_by_channel for one, p in zip(times, ps, strict=True)]),
-             np.array([p.times_noise for p in ps]))
-        )  # fmt: skip
-    return errors_side_by_side([e.name for e in entries], len(result.baselines), motions, ax)
+    names, baselines = [e.name for e in entries], len(result.baselines)
+    motions = [[e.predictions[k] for e in entries] for k in range(min(len(entries[0].predictions), _SHOWN_MOTIONS))]
+    lines = 1 if len(motions[0][0].channel_names) <= _ONE_LINE else 2
+    columns = 1 if ax is not None and len(given_axes(ax)) == len(motions) else 2
+    figure, axes = make_grid(len(motions), columns, 0.24 * len(names) + 0.1, left=0.35 + 0.066 * max(map(len, names)),
+                             top=0.5 * lines, gap=0.35, sharey=True, sharex="col", ax=ax)  # fmt: skip
+    y = np.arange(len(names))
+    for row, ps in zip(axes, motions, strict=True):
+        known = np.array([1.0 if p.noise_known else np.nan for p in ps])
+        percents = 100 * np.array([p.nrmse for p in ps]), 100 * np.array([p.relative_error for p in ps])
+        times = known[:, None] * [p.whitened_rms_by_channel for p in ps], np.array([p.times_noise for p in ps])
+        titles = f"{ps[0].motion}: error below {BAND:g} Hz [% of the signal]", "what is left, in units of the noise"
+        for ax, title, (each, whole) in zip(row, titles, (percents, times), strict=False):
+            for c, channel in enumerate(ps[0].channel_names):
+                ax.plot(each[:, c], y, "|", ms=8, mew=1.4, color=CYCLE[c % len(CYCLE)], label=channel)
+            ax.plot(whole, y, "o", ms=6, color="#0f172a", mew=0, label="all channels")
+            if baselines:
+                ax.axhspan(-0.5, baselines - 0.5, color="#f1f5f9", lw=0, zorder=0)
+            ax.set_ylim(len(y) - 0.4, -0.6)
+            ax.set_yticks(y, names)
+            ax.tick_params(axis="y", length=0, labelleft=ax is row[0])
+            ax.set_title(title)
+        for ax in row[1:]:
+            ax.axvline(1.0, color=NOISE, lw=1.4, zorder=0)
+    for column, floor in zip(axes.T, (None, 0.8), strict=False):
+        values = np.concatenate([line.get_xdata() for ax in column for line in ax.lines if line.get_marker() in ("|", "o")])
+        values = np.asarray(values, float)[np.asarray(values, float) > 0]
+        low, high = (values.min(), values.max()) if len(values) else (1.0, 1.0)
+        for ax in column:
+            ax.set_xscale("log")
+            ax.set_xlim(min(low / 1.15, floor or np.inf), max(high * 1.15, low * 2.0))
+            plain_log(ax.xaxis)
+    add_legend(axes, lines=lines)
+    return figure
 
 
+@styled
 def values_figure(result: Comparison | LoadedComparison, name: str, ax: Any = None) -> Figure:
-    """Base parameters by each estimator around those of the reference of a name."""
-    reference = result[name]
+    """Each base parameter by each estimator with its interval, around those of the reference of a name, in its sigmas."""
+    reference, estimates = result[name], result.estimates
     shown = np.flatnonzero(reference.std > 0)
     names = [f"{short}  ({k + 1})" for k, short in enumerate(reference.base.short_names) if k in shown]
-    estimates = result.estimates.values()
-    std = reference.std[shown]
-    hidden = np.array([e.undetermined[: e.base.rank][shown] for e in estimates])
-    difference = np.array([(e.values - reference.values)[shown] / std for e in estimates])
-    ends = np.array([[(end - reference.values)[shown] / std for end in (e.low, e.high)] for e in estimates]).swapaxes(0, 1)
-    return values_side_by_side(names, list(result.estimates), np.where(hidden, np.nan, difference), ends, name, ax)
+    count, many = len(names), len(estimates)
+    difference, ends = np.empty((many, count)), np.empty((2, many, count))
+    for e, estimate in enumerate(estimates.values()):
+        known = np.array([estimate.values, estimate.low, estimate.high]) - reference.values
+        difference[e], ends[0, e], ends[1, e] = known[:, shown] / reference.std[shown]
+        difference[e, estimate.undetermined[: estimate.base.rank][shown]] = np.nan
+    columns = 2 if count > _TWO_COLUMNS and ax is None else 1
+    per_column = -(-count // columns)
+    slot = min(0.8 / many, 0.2)
+    margin = 0.35 + 0.062 * max(map(len, names), default=0)
+    height = per_column * max(0.085 * many + 0.08, 0.26)
+    figure, axes = make_grid(1, columns, height, left=margin, gap=margin, sharex=True, ax=ax)
+    reach = np.abs(np.concatenate([difference[None], ends]))
+    reach = reach[np.isfinite(reach)]
+    usual, longest = np.percentile(reach, [90, 100]) if len(reach) else (3.0, 3.0)
+    # Everything, unless a few lie so far out that the others would be dots.
+    limit = float(max(1.05 * (longest if longest <= 4.0 * usual else 1.5 * usual), 3.0))
+    for column, ax in enumerate(axes[0]):
+        part = slice(column * per_column, min((column + 1) * per_column, count))
+        y = np.arange(part.stop - part.start)
+        ax.axvspan(-1.96, 1.96, color=NOISE, alpha=0.12, lw=0)
+        ax.axvline(0.0, color=GREY, lw=0.8)
+        for e, label in enumerate(estimates):
+            colour, at = CYCLE[e % len(CYCLE)], y + (e - 0.5 * (many - 1)) * slot
+            draw_intervals(ax, at, difference[e, part], ends[:, e, part], limit, colour, label, size=3.6)
+        ax.hlines(y[1:] - 0.5, -limit, limit, color="#e2e8f0", lw=0.7)
+        list_rows(ax, names[part], 0.55)
+        ax.set(xlim=(-limit, limit), xlabel=f"value less that of {name} [standard deviations of {name}]")
+    add_legend(axes)
+    return figure
 
 
 def _agreement(result: Comparison) -> ShownSection:

@@ -185,6 +185,20 @@ def list_rows(panel: Axes, names: Sequence[str], edge: float = 0.6, **style: Any
     panel.tick_params(axis="y", length=0)
 
 
+def draw_intervals(
+    panel: Axes, y: np.ndarray, values: np.ndarray, ends: np.ndarray, limit: float, colour: str, label: str, *, size: float
+) -> None:
+    """Values (k,) as dots at heights ``y`` (k,) with their intervals (2, k); a triangle where one lies outside the picture."""
+    low, high = ends
+    sure = np.isfinite(high - low) & np.isfinite(values)
+    panel.hlines(y[sure], low[sure], high[sure], color=colour, lw=0.5 * size, alpha=0.45)
+    inside = np.abs(values) <= limit
+    panel.plot(values[inside], y[inside], "o", ms=size, mew=0, color=colour, label=label)
+    for k in np.flatnonzero(np.abs(values) > limit):
+        side = np.sign(values[k])
+        panel.plot(0.985 * side * limit, y[k], ">" if side > 0 else "<", ms=size + 1.0, mew=0, color=colour)
+
+
 def label_lowest(axes: np.ndarray, label: str) -> None:
     """Name the abscissa below the lowest visible panel of every column."""
     for column in axes.T:

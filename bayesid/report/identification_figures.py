@@ -20,6 +20,7 @@ from bayesid.report.figures import (
     NOISE,
     PREDICTED,
     add_legend,
+    draw_intervals,
     given_axes,
     list_rows,
     make_grid,
@@ -46,9 +47,8 @@ def parameter_intervals(
     panels = 1 if ax is not None and len(given_axes(ax)) == 1 else 2
     figure, axes = make_grid(1, panels, 0.3 + 0.2 * count, left=0.3 + 0.062 * max(map(len, names), default=0), gap=0.4,
                          sharey=True, width_ratios=(1.9, 1.0)[:panels], ax=ax)  # fmt: skip
-    left, y = axes[0, 0], np.arange(count)
-    position, (low, high) = change / scale, ends / scale
-    width = 0.5 * (high - low)
+    left, position, relative = axes[0, 0], change / scale, ends / scale
+    width = 0.5 * (relative[1] - relative[0])
     # The well determined ones set the scale: weak ones would press them all to zero.
     good = np.isin(classes, ("alone", "combination"))
     reach = (np.abs(position) + np.nan_to_num(width))[good if good.any() else slice(None)]
@@ -58,15 +58,8 @@ def parameter_intervals(
     limit = limit if limit > 0 else 1.0
     for kind, colour in CLASSES.items():
         at = np.flatnonzero(np.array(classes) == kind)
-        if not len(at):
-            continue
-        sure = at[np.isfinite(width[at])]
-        left.hlines(y[sure], low[sure], high[sure], color=colour, lw=2.2, alpha=0.45)
-        inside = at[np.abs(position[at]) <= limit]
-        left.plot(position[inside], y[inside], "o", ms=4.5, color=colour, label=kind, mew=0)
-        for k in at[np.abs(position[at]) > limit]:
-            side = np.sign(position[k])
-            left.plot(0.985 * side * limit, y[k], ">" if side > 0 else "<", ms=5.5, color=colour, mew=0)
+        if len(at):
+            draw_intervals(left, at, position[at], relative[:, at], limit, colour, kind, size=4.5)
     left.axvline(0.0, color="#334155", lw=0.9)
     left.set(xlim=(-limit, limit), xlabel="change against the nominal model, in natural sizes")
     list_rows(left, names, 0.7)
