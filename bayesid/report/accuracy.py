@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from bayesid.design.accuracy.certificate import CoverageCertificate
 from bayesid.design.accuracy.sensor_choice import KINDS, SensorChoice
+from bayesid.design.accuracy.susceptibility import Susceptibility
 from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
 from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters, notation
@@ -43,7 +44,7 @@ _HEAT = "YlOrRd"
 _WHITE = 0.1
 _TOP = 0.35
 #: Effects that the map shows, and base parameters from which their names are numbers only.
-SHOWN_EFFECTS, _NAMED = 40, 48
+_SHOWN_EFFECTS, _NAMED = 40, 48
 _PANELS = 3
 #: Where the section stands in a page.
 _BEGIN, _END = "<!-- certificate -->", "<!-- end of certificate -->"
@@ -163,10 +164,17 @@ def _dots(ax: Axes, rows: list[tuple[Sweep, int, Level]], sweeps: Sweeps) -> Non
     ax.set_title("Error over that of your own setting")
 
 
+def _mapped(result: Accuracy) -> list[Susceptibility]:
+    """Effects and places that bias most, a few of each kind."""
+    return worst_places([s for s in result.susceptibility if s.largest >= NO_BIAS], _MAPPED_PLACES)[:_SHOWN_EFFECTS]
+
+
 @styled
-def susceptibility_figure(effects: Sequence[str], parameters: Sequence[str], sigmas: np.ndarray, ax: Any = None) -> Figure:
-    """Bias of each base parameter (r,) by each effect left out (e,), in standard deviations (e, r), as a map."""
-    matrix = np.abs(sigmas)
+def bias_map(result: Accuracy, ax: Any = None) -> Figure:
+    """Bias of each base parameter by each effect left out that biases most, in standard deviations, as a map."""
+    shown, parameters = _mapped(result), result.bench.problem.row_model.base.short_names
+    effects = [s.effect.spec for s in shown]
+    matrix = np.abs([s.sigmas for s in shown]).reshape(len(shown), len(parameters))
     left, right = 0.35 + 0.068 * max(map(len, effects), default=0), 1.0
     own = ax is None
     figure, ax, below = _over_parameters(parameters, 0.19 * max(len(effects), 1), left, right, ax)
@@ -174,7 +182,7 @@ def susceptibility_figure(effects: Sequence[str], parameters: Sequence[str], sig
     top = max(float(np.nanmax(matrix, initial=10.0)), 10.0)
     edges = np.arange(len(parameters) + 1) - 0.5, np.arange(len(effects) + 1) - 0.5
     mesh = ax.pcolormesh(*edges, values, cmap=_HEAT, norm=LogNorm(_WHITE, top))
-    ax.set_yticks(np.arange(len(effects)), list(effects), fontsize=8)
+    ax.set_yticks(np.arange(len(effects)), effects, fontsize=8)
     ax.set_ylim(len(effects) - 0.5, -0.5)
     ax.grid(visible=False)
     ax.set_title("Bias by an effect of usual size that the model lacks [standard deviations]")
@@ -291,15 +299,14 @@ def accuracy_report(result: Accuracy) -> str:
                  "recording the first part, or the whole motion several times with fresh noise. Faster sampling: noise taken "
                  "as independent from sample to sample."),
         ]))  # fmt: skip
-    mapped = min(len(worst_places(biased, _MAPPED_PLACES)), SHOWN_EFFECTS)
     unbiased = f", {len(result.susceptibility) - len(biased)} of them without any bias"
     sections.append(ShownSection("Effects left out of the model", [
         "What the estimate would be off by if the robot or sensor had an effect that the model lacks, at a usual size, "
         "everything else being right (bias susceptibility). A payload or another body that belongs to a link is no error of "
         "the link that carries it: there the change says what the estimate then holds.",
         figure(svg(bias_map(result), "susceptibility") if biased else "",
-               f"The {mapped} places that bias most, at most four of a kind, by base parameter; white: less than a tenth of a "
-               "standard deviation."),
+               f"The {len(_mapped(result))} places that bias most, at most four of a kind, by base parameter; white: less than a "
+               "tenth of a standard deviation."),
         "Each kind of effect at its worst place:", effects_table(worst_places(result.susceptibility, 1), base.labels),
         fold(f"All {len(result.susceptibility)} places{unbiased * (len(biased) < len(result.susceptibility))}",
              effects_table(result.susceptibility, base.labels)),
@@ -318,15 +325,6 @@ def accuracy_report(result: Accuracy) -> str:
     name = bench.experiment.name
     return page(name, kicker, [warnings(result.warnings, fine), lead(_lead(result)), cards(_cards(result))], sections,
                 f"{name}: accuracy")  # fmt: skip
-
-
-def bias_map(result: Accuracy, ax: Any = None) -> Figure:
-    """Bias of every base parameter by the effects that bias most."""
-    biased = [s for s in result.susceptibility if s.largest >= NO_BIAS]
-    shown = worst_places(biased, _MAPPED_PLACES)[:SHOWN_EFFECTS]
-    base = result.bench.problem.row_model.base
-    matrix = np.array([s.sigmas for s in shown]).reshape(len(shown), base.rank)
-    return susceptibility_figure([s.effect.spec for s in shown], base.short_names, matrix, ax)
 
 
 def _lead(result: Accuracy) -> str:

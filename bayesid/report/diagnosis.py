@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from bayesid.arguments import call
 from bayesid.diagnosis.data import WHITE, DiagnosisData, Episode
-from bayesid.diagnosis.description.columns import SegmentPart, parts_of
 from bayesid.diagnosis.description.describe import Description
 from bayesid.diagnosis.gap import LEAST_GAP
 from bayesid.diagnosis.locate import Disagreement
@@ -25,7 +23,7 @@ from bayesid.effects import Effect
 from bayesid.recordings.complaints import listed
 from bayesid.report.diagnosis_figures import (
     Views,
-    before_and_after,
+    channels_figure,
     described_figure,
     diagnosis_views,
     evidence,
@@ -56,8 +54,6 @@ from bayesid.results.files import report_of
 from bayesid.results.fitted_model import placed
 from bayesid.rounding import DASH, chance, channel_text, number, percent, unit_text
 from bayesid.section import Cell, Part, ShownSection, ShownTable
-from bayesid.validation.own_fit import MotionErrors
-from bayesid.validation.prediction import Prediction
 
 #: Bars in the picture of the evidence, lines in the table of parameters that moved.
 _BARS, _SHIFTS = 14, 12
@@ -98,40 +94,11 @@ def described_section(data: DiagnosisData, description: Description) -> ShownSec
         f"{shares(d)}.",
         ShownTable(["reading", "amplitude", "± (95 %)", "times", "unit of the amplitude"], rows, "kb nb n - u", "narrow"),
         bullets(terms),
-        figure(svg(_picture(data, d), "described"),
+        figure(svg(described_figure(data, d), "described"),
                "What was measured less all the rest of the model, and what the term says, over the term's own "
                f"variable{unseen}"),
         note(f"A description is no name: another cause can leave the same trace. `{use_line(d)}`"),
     ], "Described")  # fmt: skip
-
-
-def _picture(data: DiagnosisData, d: Description):
-    """Each term in the reading in which it does most, on one motion: unseen, or for want of any a fitted one."""
-    moving = [s for s in (data.unseen or data.segments) if not s.still]
-    longest = max(moving, key=lambda s: len(s.times))
-    (part,) = parts_of(data, [longest], d.fit)
-    left = longest.samples(longest.measured_readings - longest.spectrum(data.predict(longest, d.fit.links, d.fit.terms)))
-    panels, at = [], 0
-    for chosen in d.terms:
-        candidate = chosen.candidate
-        values = np.array(d.term.values[at : (at := at + candidate.size)]).reshape(len(candidate.channels), -1)
-        said = _said(part, part.values([candidate.shape]) @ values.T, candidate.channels)
-        scale = np.sqrt(np.mean((longest.covariance[:, candidate.channels, candidate.channels]), axis=0))
-        k = int(np.argmax(said.std(axis=0) / scale))
-        channel = candidate.channels[k]
-        rest = left[:, channel] - left[:, channel].mean()
-        variable = next((v for v in candidate.shape.variables if not v.startswith("dir")), candidate.shape.variables[0])
-        x = np.interp(longest.times, longest.trajectory.times, part.variables[variable])
-        title = f"{data.channels.names[channel]} [{data.channels.units[channel]}] in {longest.motion}"
-        panels.append((title, variable, x, rest + said[:, k], said[:, k]))
-    return described_figure(panels)
-
-
-def _said(part: SegmentPart, courses: np.ndarray, channels: tuple[int, ...]) -> np.ndarray:
-    """Courses (M, k) of some channels as readings, band-limited and faded at both ends as these are compared (N, k)."""
-    segment = part.segment
-    made = [segment.spectrum(courses[:, k, None], np.array([c]))[:, 0] for k, c in enumerate(channels)]
-    return segment.samples(np.stack(made, axis=1))
 
 
 @report_of.register
@@ -187,9 +154,8 @@ def _where(d: Diagnosis, views: Views) -> ShownSection:
     at_rest = (
         " A run at rest is the static recording of the same motion." if any("at rest" in p.title for p in views.panels) else ""
     )
-    panels = [(f"{p.title}, {'not fitted' if p.unseen else 'fitted'}", p.pieces, p.bands) for p in views.panels]
     poses = d.data.poses
-    maps = residual_maps(channels, panels, [f"{low:g}–{high:g}" for low, high in views.bands], views.changed, poses)
+    maps = residual_maps(views, channels, poses)
     each = "pose by pose" if poses else "in windows of one second and by frequency"
     window = "pose" if poses else "window"
     over = " and pose, numbered in the order of the table" if poses else ", time and frequency"
@@ -245,7 +211,7 @@ def _found(d: Diagnosis) -> ShownSection:
         once = f"; it happened once, in {term.motion}" if isinstance(term, Episode) else ""
         rivals = ", ".join(f"**{t.effect.spec}** ({t.effect.summary})" for t, _ in f.rivals)
         share = "" if d.part is None or d.shares(k) is None else share_range(d, k)
-        course = svg(push_course(term.times, term.force, term.force_std), "course") if isinstance(term, Push) else ""
+        course = svg(push_course(term), "course") if isinstance(term, Push) else ""
         parts.append(below(
             placed(term.effect, d.data.robot),
             f"{summary[0].upper()}{summary[1:]}{once}.{f' Or, just as well: {rivals}.' if rivals else ''}",
@@ -336,10 +302,6 @@ def _left(d: Diagnosis, views: Views) -> ShownSection:
         "sensor's own noise is not known."
     )
     poses = d.data.poses
-    curves = [
-        (f"{s.channel} [{s.unit}]" + ("" if poses else f" below {s.below:g} Hz"), s.times, s.measured, s.values, s.noise)
-        for s in views.signals
-    ]
     end = "the effects named" if d.found else "the best attempt"
     models = f", with the model as it was and with {end}" if changed else ""
     where = "" if all(e.fitted for e in shown_errors(d)) else " on unseen motions"
@@ -347,7 +309,7 @@ def _left(d: Diagnosis, views: Views) -> ShownSection:
     return ShownSection(f"{'Before and after' if changed else 'What is left'}{where}", [
         which_motions(d),
         figure(svg(channels_figure(d), "bars") if d.errors else "", in_noise if known else in_percent),
-        figure(svg(signals(curves, changed, poses), "signals"),
+        figure(svg(signals(views, poses), "signals"),
                f"Left: measured and predicted in {views.signals[0].motion}, in the channels that disagreed most, "
                f"{which}{models}. Right: measured less predicted, on a scale of its own."),
         below(
@@ -461,20 +423,6 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
         least = f", at least {low} with 95 % confidence" if low else ""
         large.append((closed, f"of the gap to the floor is closed{least}", ""))
     return large
-
-
-def channels_figure(diagnosis: Diagnosis, ax: Any = None) -> Figure:
-    """What is left of each channel, before and after: in units of the noise, or where that is not known in per cent."""
-    errors = shown_errors(diagnosis)  # of the motions that were not fitted, or of all where there are none
-    known, changed = all(e.before.noise_known for e in errors), any(e.after is not None for e in errors)
-
-    def sizes(side: Callable[[MotionErrors], Prediction]) -> np.ndarray:
-        each = [side(e).whitened_rms_by_channel if known else 100.0 * side(e).nrmse for e in errors]
-        return np.sqrt(np.mean(np.square(each), axis=0))
-
-    ratios = np.stack([sizes(lambda e: e.before), sizes(lambda e: e.last)], axis=1)
-    complete = max(e.last.expected_rms for e in errors) if known and diagnosis.part is None else None
-    return before_and_after(errors[0].before.channel_names, ratios, complete, changed, "× noise" if known else "% of signal", ax)
 
 
 def _proposals(d: Diagnosis) -> list[dict[str, Any]]:

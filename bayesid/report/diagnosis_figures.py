@@ -12,18 +12,23 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.description.columns import SegmentPart, parts_of
+from bayesid.diagnosis.description.describe import Description
 from bayesid.diagnosis.locate import BANDS, by_band, by_window, places_looked_at
 from bayesid.diagnosis.noise import pose_noise
+from bayesid.diagnosis.push import Push
 from bayesid.diagnosis.separation import Visible, visible
 from bayesid.diagnosis.spectra import SpectralSegment, sensor_noise
 from bayesid.diagnosis.validation import residual_spectra
 from bayesid.report.charts import WIDTH, chart, text_width, write
 from bayesid.report.figures import GREY, MEASURED, NOISE, PREDICTED, add_legend, list_rows, make_grid, plain_log, styled
-from bayesid.results.diagnosis import Diagnosis
+from bayesid.results.diagnosis import Diagnosis, shown_errors
+from bayesid.validation.prediction import Prediction
 
 #: Colours: what is left, what is closed, what is neither.
 LEFT, CLOSED, OTHER, _DARK, _GRID = "#c2410c", "#0f766e", "#94a3b8", "#334155", "#e2e8f0"
-_ROW, _BAR, _TOP = 24.0, 14.0, 8.0
+_ROW, _BAR, _EDGE = 24.0, 14.0, 10.0
 
 
 def _rect(x: float, y: float, width: float, colour: str) -> str:
@@ -39,7 +44,7 @@ def waterfall(steps: Sequence[tuple[str, float]], floor: float, floor_name: str 
     names = [steps[0][0], *(f"{'+ ' if k else ''}{name}" for k, (name, _) in enumerate(steps[1:], 1)), floor_name]
     left = 16.0 + max(text_width(n) for n in names)
     scale = (WIDTH - left - 130.0) / max(value for _, value in steps)
-    parts, y, before = [], _TOP, None
+    parts, y, before = [], _EDGE, None
     for (_, value), name in zip([*steps, ("", floor)], names, strict=True):
         parts.append(write(left - 8.0, y + 11.0, name, 9.0, _DARK, "end"))
         last = name == names[-1]
@@ -53,7 +58,7 @@ def waterfall(steps: Sequence[tuple[str, float]], floor: float, floor_name: str 
             end, words = high, f"{np.sqrt(value):.2f} left"
         parts.append(write(left + scale * end + 6.0, y + 11.0, words, 9.0, _DARK))
         before, y = value, y + _ROW
-    return chart(y + _TOP, parts)
+    return chart(y + _EDGE, parts)
 
 
 BEFORE, AFTER = PREDICTED, "#1d4ed8"
@@ -64,38 +69,29 @@ _POINTS = 1500
 
 
 @styled
-def residual_maps(
-    channels: Sequence[str],
-    panels: Sequence[tuple[str, Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], np.ndarray]],
-    bands: Sequence[str],
-    changed: bool,
-    poses: bool = False,
-) -> Figure:
-    """Residuals in units of the noise: channel by time, before and after, and channel by frequency; of ``poses`` one by one.
-
-    A panel is its title, pieces (edges (w + 1,) [s], ratios (w, c, 2), significant (w, c, 2)) and ratios by band (b, c, 2);
-    ``changed`` says whether there is an "after".
-    """
+def residual_maps(views: Views, channels: Sequence[str], poses: bool) -> Figure:
+    """Residuals in units of the noise: channel by time, before and after, and channel by frequency; of ``poses`` one by one."""
+    panels, changed, count = views.panels, views.changed, len(channels)
     sides = 2 if changed else 1
-    count = len(channels)
     widths = [2.0] * sides + ([] if poses else [0.55 * sides + 0.25])
     figure, axes = make_grid(len(panels), len(widths), 0.17 * count + 0.35, left=0.65, right=1.15, gap=0.5, top=0.35,
                              width_ratios=widths)  # fmt: skip
     _spread(figure, len(panels), 0.17 * count + 0.35)
-    top = max([_TOP, *(float(np.nanmax(r)) for _, pieces, _ in panels for _, r, _ in pieces)])
+    top = max([_TOP, *(float(np.nanmax(ratio)) for p in panels for _, ratio, _ in p.pieces)])
     scale = LogNorm(1.0, top)
     middle, rows = np.arange(count), np.arange(count + 1) - 0.5
     mesh = None
-    for line, (title, pieces, banded) in zip(axes, panels, strict=True):
+    for line, panel in zip(axes, panels, strict=True):
+        title = f"{panel.title}, {'not fitted' if panel.unseen else 'fitted'}"
         for k, ax in enumerate(line[:sides]):
-            for edges, ratio, marked in pieces:
+            for edges, ratio, marked in panel.pieces:
                 mesh = ax.pcolormesh(edges, rows, np.maximum(ratio[..., k], 1.0).T, cmap=_HEAT, norm=scale, lw=0, rasterized=True)
                 at, channel = np.nonzero(marked[..., k])
                 ax.plot(0.5 * (edges[at] + edges[at + 1]), middle[channel], ".", ms=2.2, color="#0f172a", mew=0)
             ax.set_title(f"{title}: {('before', 'after')[k]}" if changed else title)
             ax.xaxis.set_major_locator(MaxNLocator(8))
         if not poses:
-            _by_frequency(line[-1], banded, bands if line[0] is axes[-1, 0] else [""] * len(bands), changed, scale)
+            _by_frequency(line[-1], panel.bands, line[0] is axes[-1, 0], changed, scale)
         for ax in line:
             ax.set_yticks(middle, list(channels) if ax is line[0] else [])
             ax.set_ylim(count - 0.5, -0.5)
@@ -116,14 +112,15 @@ def residual_maps(
     return figure
 
 
-def _by_frequency(ax: Any, banded: np.ndarray, bands: Sequence[str], changed: bool, scale: LogNorm) -> None:
-    """Residuals by band (b, c, 2), before and after beside each other."""
+def _by_frequency(ax: Any, banded: np.ndarray, lowest: bool, changed: bool, scale: LogNorm) -> None:
+    """Residuals by band (b, c, 2), before and after beside each other; the ``lowest`` panel names the bands."""
     stacked = banded[..., 0]
     if changed:
         stacked = np.concatenate([stacked, np.full((1, stacked.shape[1]), np.nan), banded[..., 1]])
     columns, rows = (np.arange(n + 1) - 0.5 for n in stacked.shape)
     ax.pcolormesh(columns, rows, np.maximum(stacked, 1.0).T, cmap=_HEAT, norm=scale, lw=0, rasterized=True)
-    names = [*bands, *([""] * changed), *(bands if changed else ())]
+    bands = [f"{low:g}–{high:g}" if lowest else "" for low, high in BANDS]
+    names = [*bands, "", *bands] if changed else bands
     ax.set_xticks(np.arange(len(names)), names, rotation=90, fontsize=7.5)
     ax.tick_params(axis="x", length=0)
     titles = {"left": "before", "right": "after"} if changed else {"center": "by frequency"}
@@ -170,13 +167,17 @@ def evidence(names: Sequence[str], values: np.ndarray, kinds: Sequence[str], nee
 
 
 @styled
-def before_and_after(
-    channels: Sequence[str], ratios: np.ndarray, floor: float | None, changed: bool, unit: str, ax: Any = None
-) -> Figure:
-    """What is left of each channel, before and after (c, 2), and what a complete model would leave.
+def channels_figure(diagnosis: Diagnosis, ax: Any = None) -> Figure:
+    """What is left of each channel, before and after: in units of the noise, or where that is not known in per cent."""
+    errors = shown_errors(diagnosis)
+    known, changed = all(e.before.noise_known for e in errors), any(e.after is not None for e in errors)
 
-    ``floor`` is that of a complete model, where it is known; ``changed`` says whether there is an "after".
-    """
+    def sizes(predictions: Sequence[Prediction]) -> np.ndarray:
+        each = [p.whitened_rms_by_channel if known else 100.0 * p.nrmse for p in predictions]
+        return np.sqrt(np.mean(np.square(each), axis=0))
+
+    ratios = np.stack([sizes([e.before for e in errors]), sizes([e.last for e in errors])], axis=1)
+    channels = errors[0].before.channel_names
     figure, axes = make_grid(1, 1, 1.25, left=0.65, top=0.4, ax=ax)
     ax = axes[0, 0]
     x, width = np.arange(len(channels)), 0.36
@@ -189,11 +190,11 @@ def before_and_after(
             # On white, for small bars end where the line is.
             ax.annotate(f"{v:.3g}", (a, v), (0, 2.5), textcoords="offset points", ha="center", fontsize=7.5, color=GREY,
                         bbox={"fc": "white", "ec": "none", "pad": 0.6}, zorder=5)  # fmt: skip
-    if floor is not None:
-        ax.axhline(floor, color=NOISE, lw=1.4, label="a complete model")
+    if known and diagnosis.part is None:
+        ax.axhline(max(e.last.expected_rms for e in errors), color=NOISE, lw=1.4, label="a complete model")
     ax.set_yscale("log")
     ax.set_ylim(low, 1.8 * max(float(ratios.max()), 1.5))
-    ax.set_ylabel(unit)
+    ax.set_ylabel("× noise" if known else "% of signal")
     ax.set_xticks(x, list(channels))
     ax.tick_params(axis="x", length=0)
     ax.grid(axis="x", visible=False)
@@ -203,32 +204,21 @@ def before_and_after(
 
 
 @styled
-def signals(rows: Sequence[tuple[str, np.ndarray, np.ndarray, np.ndarray, float]], changed: bool, poses: bool = False) -> Figure:
-    """Measured beside predicted before and after, and what is left of each, in the channel's unit over the band of the noise.
-
-    Parameters
-    ----------
-    rows
-        Title, times (N,) [s], measured (N,), measured less predicted before and after (N, 2) and the standard deviation of the
-        noise.
-    changed
-        Whether there is an "after".
-    poses
-        Whether times are the numbers of poses that do not follow each other.
-    """
-    figure, axes = make_grid(len(rows), 2, 1.15, left=0.65, top=0.5, sharex=True)
-    models = [(0, BEFORE, "before"), (1, AFTER, "after")] if changed else [(0, BEFORE, "predicted")]
-    for (whole, left), (title, times, measured, values, noise) in zip(axes, rows, strict=True):
-        thin = slice(None, None, max(len(times) // _POINTS, 1))
-        whole.plot(times[thin], measured[thin], color="#94a3b8", lw=2.4, label="measured")
-        left.axhspan(-1.96 * noise, 1.96 * noise, color=NOISE, alpha=0.18, lw=0, label="95 % of the noise")
+def signals(views: Views, poses: bool) -> Figure:
+    """Measured beside predicted before and after, and what is left of each, in the channel's unit over the band of the noise."""
+    figure, axes = make_grid(len(views.signals), 2, 1.15, left=0.65, top=0.5, sharex=True)
+    models = [(0, BEFORE, "before"), (1, AFTER, "after")] if views.changed else [(0, BEFORE, "predicted")]
+    for (whole, left), s in zip(axes, views.signals, strict=True):
+        thin = slice(None, None, max(len(s.times) // _POINTS, 1))
+        whole.plot(s.times[thin], s.measured[thin], color="#94a3b8", lw=2.4, label="measured")
+        left.axhspan(-1.96 * s.noise, 1.96 * s.noise, color=NOISE, alpha=0.18, lw=0, label="95 % of the noise")
         for k, colour, label in models:
-            whole.plot(times[thin], (measured - values[:, k])[thin], color=colour, lw=0.9, label=label)
-            left.plot(times[thin], values[thin, k], color=colour, lw=0.9)
+            whole.plot(s.times[thin], (s.measured - s.values[:, k])[thin], color=colour, lw=0.9, label=label)
+            left.plot(s.times[thin], s.values[thin, k], color=colour, lw=0.9)
         left.axhline(0.0, color="#334155", lw=0.6)
-        reach = max(float(np.abs(values[:, : len(models)]).max()), 3.0 * noise) * 1.08
+        reach = max(float(np.abs(s.values[:, : len(models)]).max()), 3.0 * s.noise) * 1.08
         left.set_ylim(-reach, reach)
-        whole.set_title(title)
+        whole.set_title(f"{s.channel} [{s.unit}]" + ("" if poses else f" below {s.below:g} Hz"))
         left.set_title("measured less predicted")
         for ax in (whole, left):
             ax.yaxis.set_major_locator(MaxNLocator(4))
@@ -240,13 +230,13 @@ def signals(rows: Sequence[tuple[str, np.ndarray, np.ndarray, np.ndarray, float]
 
 
 @styled
-def push_course(times: np.ndarray, force: np.ndarray, std: np.ndarray) -> Figure:
-    """The force of a push (m, 3) [N] over time (m,) [s], in base axes with its 95 % band."""
+def push_course(push: Push) -> Figure:
+    """The force of a push over time, in base axes with its 95 % band."""
     figure, axes = make_grid(1, 1, 1.5, left=0.65)
-    ax = axes[0, 0]
+    ax, low, high = axes[0, 0], push.force - 1.96 * push.force_std, push.force + 1.96 * push.force_std
     for k, (axis, colour) in enumerate(zip(("fx", "fy", "fz"), (BEFORE, NOISE, AFTER), strict=True)):
-        ax.fill_between(times, force[:, k] - 1.96 * std[:, k], force[:, k] + 1.96 * std[:, k], color=colour, alpha=0.18, lw=0)
-        ax.plot(times, force[:, k], color=colour, lw=1.2, label=axis)
+        ax.fill_between(push.times, low[:, k], high[:, k], color=colour, alpha=0.18, lw=0)
+        ax.plot(push.times, push.force[:, k], color=colour, lw=1.2, label=axis)
     ax.axhline(0.0, color="#334155", lw=0.6)
     ax.set_title("force in base axes [N]")
     ax.set_xlabel("time [s]")
@@ -260,21 +250,37 @@ _OF_A_TERM = 3000
 
 
 @styled
-def described_figure(panels: Sequence[tuple[str, str, np.ndarray, np.ndarray, np.ndarray]]) -> Figure:
-    """Draw each term in a panel of its own.
-
-    A panel is its title, name of the variable, its values (N,), what was measured less all the rest (N,), and what the term
-    says (N,).
-    """
-    figure, axes = make_grid(1, len(panels), 2.4, left=0.75, top=0.5, gap=0.6)
-    for ax, (title, variable, x, measured, said) in zip(axes[0], panels, strict=True):
-        thin = max(len(x) // _OF_A_TERM, 1)
-        ax.plot(x[::thin], measured[::thin], lw=1.8, color=MEASURED, rasterized=True, label="measured less all the rest")
-        ax.plot(x[::thin], said[::thin], lw=0.9, color=PREDICTED, rasterized=True, label="the term")
-        ax.set_title(title)
+def described_figure(data: DiagnosisData, d: Description) -> Figure:
+    """Each term in the reading in which it does most, on one motion: unseen, or for want of any a fitted one."""
+    moving = [s for s in (data.unseen or data.segments) if not s.still]
+    longest = max(moving, key=lambda s: len(s.times))
+    (part,) = parts_of(data, [longest], d.fit)
+    left = longest.samples(longest.measured_readings - longest.spectrum(data.predict(longest, d.fit.links, d.fit.terms)))
+    figure, axes = make_grid(1, len(d.terms), 2.4, left=0.75, top=0.5, gap=0.6)
+    at, thin = 0, max(len(longest.times) // _OF_A_TERM, 1)
+    for ax, chosen in zip(axes[0], d.terms, strict=True):
+        candidate = chosen.candidate
+        values = np.array(d.term.values[at : (at := at + candidate.size)]).reshape(len(candidate.channels), -1)
+        said = _said(part, part.values([candidate.shape]) @ values.T, candidate.channels)
+        scale = np.sqrt(np.mean((longest.covariance[:, candidate.channels, candidate.channels]), axis=0))
+        k = int(np.argmax(said.std(axis=0) / scale))
+        channel = candidate.channels[k]
+        rest = left[:, channel] - left[:, channel].mean()
+        variable = next((v for v in candidate.shape.variables if not v.startswith("dir")), candidate.shape.variables[0])
+        x = np.interp(longest.times, longest.trajectory.times, part.variables[variable])[::thin]
+        ax.plot(x, (rest + said[:, k])[::thin], lw=1.8, color=MEASURED, rasterized=True, label="measured less all the rest")
+        ax.plot(x, said[::thin, k], lw=0.9, color=PREDICTED, rasterized=True, label="the term")
+        ax.set_title(f"{data.channels.names[channel]} [{data.channels.units[channel]}] in {longest.motion}")
         ax.set_xlabel(variable)
     add_legend(axes)
     return figure
+
+
+def _said(part: SegmentPart, courses: np.ndarray, channels: tuple[int, ...]) -> np.ndarray:
+    """Courses (M, k) of some channels as readings, band-limited and faded at both ends as these are compared (N, k)."""
+    segment = part.segment
+    made = [segment.spectrum(courses[:, k, None], np.array([c]))[:, 0] for k, c in enumerate(channels)]
+    return segment.samples(np.stack(made, axis=1))
 
 
 #: Recordings in the picture of residuals, and channels in the picture of signals.
@@ -334,7 +340,6 @@ class Views:
     signals: tuple[SignalView, ...]
     noise: tuple[Noise, ...]
     visible: tuple[Visible, ...]
-    bands: tuple[tuple[float, float], ...]  # their limits [Hz]
     changed: bool  # whether a model other than the user's was fitted, so that there is an "after"
 
 
@@ -355,7 +360,6 @@ def diagnosis_views(diagnosis: Diagnosis) -> Views:
         signals=_signals(diagnosis, judged),
         noise=_noise(diagnosis),
         visible=() if s.library is None else visible(s.library),
-        bands=BANDS,
         changed=s.best is not s.base and len(s.best.terms) > len(s.base.terms),
     )
 

@@ -57,14 +57,12 @@ def classes(reports: Sequence[SetReport], main: SetReport, ax: Any = None) -> Fi
     rows = -(-len(reports) // across_page)
     longest = max(map(len, bodies))
     height = max(_ROW * len(bodies), 0.5)
-    figure, axes = make_grid(rows, across_page, height, left=0.25 + 0.075 * longest, top=0.75 + 0.2 * (rows - 1), gap=0.25, ax=ax)
+    figure, axes = make_grid(rows, across_page, height, left=0.25 + 0.075 * longest, top=0.75 + 0.2 * (rows - 1), gap=0.25,
+                             used=len(reports), ax=ax)  # fmt: skip
     if ax is None:
         figure.subplots_adjust(hspace=0.5 / height, top=1.0 - 0.75 / figure.get_figheight())
-    for k, ax in enumerate(axes.ravel()):
-        if k >= len(reports):
-            ax.set_visible(False)
-            continue
-        report, columns = reports[k], len(across)
+    for k, (report, ax) in enumerate(zip(reports, axes.ravel(), strict=False)):
+        columns = len(across)
         table = np.array([kinds.index(p.kind) for p in report.parameters]).reshape(len(bodies), columns)
         colours = ListedColormap([LOOKS[kind][0] for kind in kinds])
         ax.pcolormesh(table, cmap=colours, vmin=-0.5, vmax=len(kinds) - 0.5, edgecolors="white", linewidth=1.2)
@@ -87,9 +85,9 @@ def classes(reports: Sequence[SetReport], main: SetReport, ax: Any = None) -> Fi
 
 
 @styled
-def expected(report: SetReport, names: Sequence[str], ax: Any = None) -> Figure:
+def expected(report: SetReport, ax: Any = None) -> Figure:
     """Expected standard deviation of every combination, relative to its size where that is known, the surest first."""
-    bases = report.base_parameters
+    bases, names = report.base_parameters, report.shown.base.short_names
     sized = all(b.size for b in bases)
     values = np.array([b.std / b.size if sized and b.size else b.std for b in bases])
     order = np.argsort(values)
@@ -140,7 +138,7 @@ def identifiability_report(result: Identifiability) -> str:
             "share of the usual size from which it does so with 95 % probability.",
             pair_table(result),
         ]))  # fmt: skip
-    drawn = svg(expected_figure(main), "expected") if main.base_parameters else ""
+    drawn = svg(expected(main), "expected") if main.base_parameters else ""
     effects, unexcited = effect_lines(main), bullets(main.unexcited, sums=True)
     prior = any(b.prior_share is not None for b in main.base_parameters)
     sections += [
@@ -164,11 +162,6 @@ def identifiability_report(result: Identifiability) -> str:
     ]  # fmt: skip
     opening = [warnings(result.warnings), lead(answer(result)), cards(_cards(main))]
     return page(result.name, _kicker(result), opening, sections, f"{result.name}: identifiability")
-
-
-def expected_figure(report: SetReport, ax: Any = None) -> Figure:
-    """Expected standard deviations of a sensor set's combinations."""
-    return expected(report, report.shown.base.short_names, ax)
 
 
 def _kicker(result: Identifiability) -> str:
@@ -239,4 +232,4 @@ def _how(result: Identifiability) -> list[tuple[str, str]]:
 
 @figures_of.register
 def _(result: Identifiability) -> Figures:
-    return {"classes": partial(classes, result.sensor_sets, result.main), "expected": partial(expected_figure, result.main)}
+    return {"classes": partial(classes, result.sensor_sets, result.main), "expected": partial(expected, result.main)}

@@ -33,7 +33,7 @@ from bayesid.results.fitted_model import (
     impossible_bodies,
     noise_section,
     robot_section,
-)  # fmt: skip
+)
 from bayesid.robot.urdf import write_urdf
 from bayesid.rounding import LEVEL
 from bayesid.section import as_html, as_text
