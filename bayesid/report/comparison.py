@@ -11,8 +11,23 @@ from matplotlib.figure import Figure
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import CYCLE
 from bayesid.report.figures import GREY, NOISE, add_legend, draw_intervals, given_axes, list_rows, make_grid, plain_log, styled
-from bayesid.report.identification import how_motions, mood_of
-from bayesid.report.page import below, cards, figure, fold, how, lead, note, page, run_times, svg, terms, versions, warnings
+from bayesid.report.identification import how_motions
+from bayesid.report.page import (
+    below,
+    cards,
+    figure,
+    fold,
+    how,
+    lead,
+    mood_of,
+    note,
+    page,
+    run_times,
+    svg,
+    terms,
+    versions,
+    warnings,
+)
 from bayesid.results.comparison import Comparison, Entry, in_sigmas, overview_table, values_table
 from bayesid.results.files import report_of
 from bayesid.results.loaded import LoadedComparison

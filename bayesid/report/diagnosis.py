@@ -33,8 +33,7 @@ from bayesid.report.diagnosis_figures import (
     waterfall,
 )
 from bayesid.report.excitation import PAIRS, motion_groups, motion_plot
-from bayesid.report.identification import mood_of
-from bayesid.report.page import below, bullets, cards, figure, fold, how, lead, note, page, svg, versions, warnings
+from bayesid.report.page import below, bullets, cards, figure, fold, how, lead, mood_of, note, page, svg, versions, warnings
 from bayesid.results.described import not_distinguished, shares, terms_of, use_line
 from bayesid.results.diagnosis import (
     Diagnosis,

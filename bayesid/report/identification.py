@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -9,41 +10,39 @@ from typing import Any
 import numpy as np
 
 from bayesid.drawing import Figures, figures_of
+from bayesid.dynamics.base_parameters import BaseParameters, notation
 from bayesid.recordings.complaints import listed
 from bayesid.regression.problem import Problem
 from bayesid.report.accuracy import certificate_section
 from bayesid.report.identification_figures import bandwidth_sensitivity, intervals_figure
-from bayesid.report.identification_limits import limits_section
 from bayesid.report.motion_figures import measured_against_predicted, residuals
-from bayesid.report.page import below, cards, figure, fold, lead, note, page, physical, run_times, svg, terms, versions, warnings
+from bayesid.report.page import (
+    below,
+    bullets,
+    cards,
+    figure,
+    fold,
+    lead,
+    mood_of,
+    note,
+    page,
+    physical,
+    run_times,
+    svg,
+    terms,
+    versions,
+    warnings,
+)
 from bayesid.results.files import report_of
 from bayesid.results.identification import Identification
 from bayesid.robot import inertia
 from bayesid.rounding import DASH, chance, channel_text, ends, number, percent, with_interval
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable, tag
 from bayesid.validation.headline import judged, still_predictable, worse_than_nothing
-from bayesid.validation.prediction import BAND, TOLERATED, Prediction
+from bayesid.validation.prediction import BAND, Prediction
 
 #: So many entries of a list are shown.
 _SHOWN = 8
-
-_NAMES = {
-    "agreement_of_gls_and_wls": "Chance of so large a gap of gls and wls",
-    "certificate": "Certificate of the optimum",
-    "durbin_wu_hausman": "Durbin-Wu-Hausman test",
-    "encoder_correlation": "Correlation of encoder noise from sample to sample, by joint",
-    "encoder_std": "Encoder noise by joint [rad or m]",
-    "first_stage": "First-stage statistic of the instruments",
-    "largest_noise_share": "Largest share of encoder noise in a direction",
-    "model_complete": "Model complete by that test",
-    "nu": "Degrees of freedom of Student's t",
-    "physics": "Do the data contradict physics?",
-    "rejected_share": "Rows rejected as taps or contacts",
-    "rejected_windows": "Rejected times",
-    "shift_from_least_squares": "Largest shift from least squares, in its standard deviations",
-    "trust": "Prior of the nominal model",
-    "weights": "Rows weighted by",
-}
 
 
 def described(details: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -55,11 +54,12 @@ def described(details: Mapping[str, Any]) -> list[tuple[str, str]]:
     for key, value in details.items():
         if key == "warnings":
             continue
+        name, write = _DETAILS.get(key, (key.replace("_", " ").capitalize(), _plain))
         try:
-            text = _WRITERS.get(key, _plain)(value)
+            text = write(value)
         except (AttributeError, KeyError, TypeError, ValueError):  # another estimator's entry of the same name
             text = _plain(value)
-        out.append((_NAMES.get(key, key.replace("_", " ").capitalize()), text))
+        out.append((name, text))
     return out
 
 
@@ -123,24 +123,30 @@ def _prior_strength(value: Mapping[str, Any]) -> str:
     return f"metric {value['metric']}{size} ({value['rule']})"
 
 
-_WRITERS: dict[str, Callable[[Any], str]] = {
-    "agreement_of_gls_and_wls": chance,
-    "certificate": _certificate,
-    "durbin_wu_hausman": _hausman,
-    "efficiency_for_normal_noise": percent,
-    "largest_noise_share": percent,
-    "physics": _physics,
-    "rejected_share": percent,
-    "rejected_windows": _windows,
-    "trust": _prior_strength,
+#: Name of each detail of an estimate, and what writes its value.
+_DETAILS: dict[str, tuple[str, Callable[[Any], str]]] = {
+    "agreement_of_gls_and_wls": ("Chance of so large a gap of gls and wls", chance),
+    "certificate": ("Certificate of the optimum", _certificate),
+    "durbin_wu_hausman": ("Durbin-Wu-Hausman test", _hausman),
+    "efficiency_for_normal_noise": ("Efficiency for normal noise", percent),
+    "encoder_correlation": ("Correlation of encoder noise from sample to sample, by joint", _plain),
+    "encoder_std": ("Encoder noise by joint [rad or m]", _plain),
+    "first_stage": ("First-stage statistic of the instruments", _plain),
+    "largest_noise_share": ("Largest share of encoder noise in a direction", percent),
+    "model_complete": ("Model complete by that test", _plain),
+    "nu": ("Degrees of freedom of Student's t", _plain),
+    "physics": ("Do the data contradict physics?", _physics),
+    "rejected_share": ("Rows rejected as taps or contacts", percent),
+    "rejected_windows": ("Rejected times", _windows),
+    "shift_from_least_squares": ("Largest shift from least squares, in its standard deviations", _plain),
+    "trust": ("Prior of the nominal model", _prior_strength),
+    "weights": ("Rows weighted by", _plain),
 }
 
 
 #: Figures of at most so many motions of each role are shown.
 SHOWN_MOTIONS = 6
 _STATIC = {"motion": "subtracted sample by sample", "joint": "fitted along", "none": "none"}
-#: Residuals up to so many times the noise count as good and as fair.
-_GOOD, _FAIR = TOLERATED, 1.5
 _MOODS = ("good", "fair", "bad")
 #: What the text of an interval is made of.
 _INTERVAL = ("value", "std", "low", "high")
@@ -206,11 +212,6 @@ def _most_telling(predictions: Sequence[Prediction]) -> list[Prediction]:
     """All motions, or those with the largest residuals where there are too many for a page."""
     worst = sorted(predictions, key=lambda p: -p.whitened_rms)[:SHOWN_MOTIONS]
     return [p for p in predictions if p in worst] if len(predictions) > SHOWN_MOTIONS else list(predictions)
-
-
-def mood_of(white: float) -> str:
-    """``good``, ``fair`` or ``bad`` for a residual in units of the noise."""
-    return "good" if white <= _GOOD else "fair" if white <= _FAIR else "bad"
 
 
 def _sizes(prediction: Prediction) -> str:
@@ -520,3 +521,81 @@ def _how(result: Identification) -> list[tuple[str, str]]:
 def _(result: Identification) -> Figures:
     intervals = partial(intervals_figure, result.problem.regression, result.estimate)
     return {"predictions": measured_against_predicted, "residuals": residuals, "intervals": intervals}
+
+
+def limits_section(result: Identification) -> ShownSection:
+    """What these motions, and these readings, do not show."""
+    base, problem = result.estimate.base, result.problem
+    lost = result.not_shown
+    parts: list[Part] = []
+    if lost.motions:
+        parts.append(below(
+            "Hidden by these motions",
+            "Other motions of this robot could show these; the recorded ones do not, or not well enough to say more than the "
+            "size of the body does. Where the tables give a number, it rests on the nominal one (class prior) or is less "
+            "sure than the body is large (class weak): it should not be used by itself. Motions that move these links faster, "
+            "or in other poses, would help.",
+            *_combinations(lost.motions),
+        ))  # fmt: skip
+    if lost.effects:
+        parts.append(below(
+            "Lost to an effect in the model",
+            "These motions show these only together with an effect that is estimated along, as inertia about a joint's axis "
+            "adds to that of the rotor behind it. What is stated of the effect in [model.values] gives them back.",
+            bullets([f"{label}: not told from {', '.join(specs)}" for label, specs in lost.effects.items()]),
+        ))  # fmt: skip
+    if lost.static_run:
+        tells = "A scale, or the nominal model, tells them."
+        if lost.fitted_along:
+            tells = f"Where the run is fitted along, readings show {', '.join(lost.fitted_along)}."
+        parts.append(below(
+            "Lost to the static run",
+            f"The static run is subtracted, and gravity with it: no motion shows these. {tells}",
+            *_combinations(lost.static_run),
+        ))  # fmt: skip
+    if not parts:
+        parts.append("Nothing that these readings can show at all was hidden by the motions.")
+    if lost.invisible:
+        gravity = " (with the static run subtracted, nor does what only gravity would show)" if problem.static == "motion" else ""
+        parts.append(below(
+            "Invisible to these readings",
+            f"No motion whatever shows these {len(lost.invisible)} parameters in the {channel_text(problem.channel)}: they "
+            f"influence no reading{gravity}. Only the nominal model tells them.",
+            bullets(_by_body(lost.invisible)),
+        ))  # fmt: skip
+    if absorbed := _absorbed(base):
+        parts.append(below(
+            "What the unknown sensor offset costs",
+            "Nothing here measures the sensor's offset by itself, so it is estimated along, and what acts on the sensor like a "
+            "constant offset cannot be told from it: it is taken up by the offset instead of by the base parameters. A static "
+            "run, or a reading of the unloaded sensor, would give it back. An offset that is estimated contains, beside the "
+            "true offset:",
+            ShownTable(["axis", "contains besides"], absorbed, "- w"),
+        ))  # fmt: skip
+    return ShownSection("What could not be identified", parts)
+
+
+def _combinations(labels: Sequence[str]) -> list[Part]:
+    """Single parameters in one line, then the sums as a list."""
+    return [", ".join(label for label in labels if " " not in label), bullets([x for x in labels if " " in x], sums=True)]
+
+
+def _by_body(names: Sequence[str]) -> list[str]:
+    """``joint1.m, joint1.mcx`` as ``joint1: m, mcx``."""
+    bodies: dict[str, list[str]] = {}
+    for name in names:
+        body, _, kind = name.rpartition(".")
+        bodies.setdefault(body, []).append(kind)
+    return [f"{body}: {', '.join(kinds)}" if body else ", ".join(kinds) for body, kinds in bodies.items()]
+
+
+def _absorbed(base: BaseParameters) -> list[list[str]]:
+    """What an estimated offset contains besides the true one, axis by axis."""
+    if base.absorbed is None:
+        return []
+    rows, names = [], notation(base.parameter_names)
+    for axis, row in zip(("fx", "fy", "fz", "mx", "my", "mz"), base.absorbed, strict=False):
+        parts = [f"{'-' if row[k] < 0 else '+'} {abs(row[k]):.4g} {names[k]}" for k in np.flatnonzero(row)]
+        if parts:
+            rows.append([axis, re.sub(r"^- ", "-", " ".join(parts).removeprefix("+ "))])
+    return rows

@@ -16,7 +16,10 @@ from markupsafe import Markup
 from bayesid.robot import inertia
 from bayesid.rounding import number
 from bayesid.section import Html, Part, ShownSection, as_html, long, marked
+from bayesid.validation.prediction import TOLERATED
 
+#: Residuals up to so many times the noise count as fair; as good those that `TOLERATED` names.
+_FAIR = 1.5
 #: A page with so many sections begins with a list of them.
 _LISTED = 4
 
@@ -110,6 +113,11 @@ def run_times(seconds: Mapping[str, float]) -> tuple[str, str]:
 def versions(*packages: str) -> tuple[str, str]:
     """The row that tells the versions of Python, this package and others."""
     return "Versions", ", ".join([f"Python {platform.python_version()}", *(f"{p} {version(p)}" for p in ("bayesid", *packages))])
+
+
+def mood_of(white: float) -> str:
+    """``good``, ``fair`` or ``bad`` for a residual in units of the noise."""
+    return "good" if white <= TOLERATED else "fair" if white <= _FAIR else "bad"
 
 
 def physical(body: np.ndarray) -> np.ndarray:
