@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
 
 import numpy as np
@@ -81,11 +82,8 @@ class RotorMomentum(RotorEffect):
         "$J z \\cdot \\dot\\omega$, and gear ratio $\\times J \\ddot q$ where `gear_ratio` is stated"
     )
     source = "angular momentum, cf. [Spong1987](references.md), which leaves it out"
-    quantities = (Parameter("inertia", "kg m^2", lower=0.0),)
+    quantities = (Parameter("inertia", "kg m^2", lower=0.0, typical=partial(sizes.effort, share=1e-4)),)
     confusable_with = ("inertia_error", "rotor_inertia")
-
-    def typical(self, robot):
-        return [1e-4 * sizes.effort(robot, self.joint)]
 
     def sought(self, around):
         # In a wrench or in torques alone it is a change of two links.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
 
 import numpy as np
@@ -22,12 +23,9 @@ class RotorInertia(JointTorqueEffect):
     name = "rotor_inertia"
     summary = "inertia of motor and gears, seen from the joint"
     equation = "$J\\,\\ddot q$; the value is gear ratio² × rotor inertia"
-    quantities = (Parameter("inertia", "kg m^2", lower=0.0),)
+    quantities = (Parameter("inertia", "kg m^2", lower=0.0, typical=partial(sizes.effort, share=0.01)),)
     confusable_with = ("inertia_error", "rotor_momentum")
     column_in_time = "interpolated"
-
-    def typical(self, robot):
-        return [0.01 * sizes.effort(robot, self.joint)]
 
     def torque(self, motion, values):
         return values[0] * motion.acceleration
@@ -96,18 +94,14 @@ class CoupledFriction(ReadingEffect):
     quantities = (
         # Shafts that run through another joint turn with it once: other gears are found from there.
         Parameter("coupling", "1", -5.0, 5.0, start=1.0, typical=1.0, linear=False, tried=(1.0, -1.0)),
-        Parameter("viscous", "N m s/rad", lower=0.0),
-        Parameter("coulomb", "N m", lower=0.0),
-        Parameter("inertia", "kg m^2", lower=0.0),
+        Parameter("viscous", "N m s/rad", lower=0.0, typical=partial(sizes.viscous, share=0.06)),
+        Parameter("coulomb", "N m", lower=0.0, typical=partial(sizes.effort, share=0.05)),
+        Parameter("inertia", "kg m^2", lower=0.0, typical=partial(sizes.effort, share=0.01)),
     )
     confusable_with = ("viscous_friction", "coulomb_friction", "rotor_inertia")
     # The joint whose motor it is has no other one.
     instead_of = ("viscous_friction", "coulomb_friction", "rotor_inertia")
     reverses_at_once = True
-
-    def typical(self, robot):
-        effort = sizes.effort(robot, self.joint)
-        return [1.0, 0.06 * effort / sizes.speed(robot, self.joint), 0.05 * effort, 0.01 * effort]
 
     def sought(self, around):
         # As for coupled transmissions; with a joint that rests it is the other one's friction.
@@ -138,15 +132,12 @@ class TorqueRipple(JointTorqueEffect):
     summary = "torque that repeats with the joint's angle"
     equation = "$A \\sin(n q + \\varphi)$"
     quantities = (
-        Parameter("amplitude", "N m", lower=0.0, start=0.5),
-        Parameter("periods", "1/rad", 1.0, 1000.0, start=10.0, linear=False, step=1e-3),
-        Parameter("phase", "rad", -inf, inf, linear=False, step=1e-3, sliding="rad"),
+        Parameter("amplitude", "N m", lower=0.0, start=0.5, typical=partial(sizes.effort, share=0.01)),
+        Parameter("periods", "1/rad", 1.0, 1000.0, start=10.0, typical=20.0, linear=False, step=1e-3),
+        Parameter("phase", "rad", -inf, inf, typical=0.5, linear=False, step=1e-3, sliding="rad"),
     )
     confusable_with = ("spring",)
     harmonics = RIPPLE_PERIODS
-
-    def typical(self, robot):
-        return [0.01 * sizes.effort(robot, self.joint), 20.0, 0.5]
 
     def torque(self, motion, values):
         return values[0] * np.sin(values[1] * motion.position + values[2])
@@ -180,11 +171,11 @@ class Spring(JointTorqueEffect):
     name = "spring"
     summary = "a spring across a joint"
     equation = "$k\\,(q - q_0)$"
-    quantities = (Parameter("stiffness", "N m/rad", start=1.0), Parameter("rest", "rad", linear=False))
+    quantities = (
+        Parameter("stiffness", "N m/rad", start=1.0, typical=partial(sizes.effort, share=0.03)),
+        Parameter("rest", "rad", typical=0.3, linear=False),
+    )
     confusable_with = ("torque_offset", "payload")
-
-    def typical(self, robot):
-        return [0.03 * sizes.effort(robot, self.joint), 0.3]
 
     def torque(self, motion, values):
         return values[0] * (motion.position - values[1])

@@ -68,7 +68,8 @@ class Parameter:
     lower: float = -inf
     upper: float = inf
     start: float = 0.0  # value from which an estimate starts and that stands where none is given
-    typical: float = 1.0  # a plausible size, unless the effect says it for the robot at hand (`Effect.typical`)
+    #: A plausible size; on a robot and at a joint of it where it is a function of both.
+    typical: float | Callable[[Robot, int | None], float] = 1.0
     linear: bool = True  # whether the readings are linear in it; otherwise it is called a shape parameter
     step: float = 1e-4  # of central differences; relative to the value where that is larger
     tried: tuple[float, ...] = ()  # values of a shape parameter that a search for effects tries; default the start
@@ -202,7 +203,7 @@ class Effect(ABC):
 
     def typical(self, robot: Robot) -> Sequence[float]:
         """A plausible value of each parameter (k,) on a robot: its masses, lengths, and effort and velocity limits."""
-        return [p.typical for p in self.quantities]
+        return [p.typical(robot, self.joint) if callable(p.typical) else p.typical for p in self.quantities]
 
     def reach(self, values: Sequence[float], bandwidth: float, step: float) -> float:
         """Time before and after a sample that its reading depends on [s], by bandwidth of the motion [Hz] and sample step [s]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
 
 import numba
@@ -51,13 +52,10 @@ class ViscousFriction(JointTorqueEffect):
     wanders = True
     equation = "$c\\,\\dot q$"
     source = _ARMSTRONG
-    quantities = (Parameter("coefficient", "N m s/rad", lower=0.0),)
+    quantities = (Parameter("coefficient", "N m s/rad", lower=0.0, typical=partial(sizes.viscous, share=0.06)),)
     confusable_with = ("coulomb_friction", "fluid_drag")
     column_in_time = "sampled"
     urdf_dynamics = "damping"
-
-    def typical(self, robot):
-        return [0.06 * sizes.effort(robot, self.joint) / sizes.speed(robot, self.joint)]
 
     def torque(self, motion, values):
         return values[0] * motion.velocity
@@ -71,12 +69,9 @@ class DirectionalFriction(JointTorqueEffect):
         "where the constant part differs, that is `torque_offset`"
     )
     source = _ARMSTRONG
-    quantities = (Parameter("difference", "N m s/rad"),)
+    # A fifth of the usual viscous friction.
+    quantities = (Parameter("difference", "N m s/rad", typical=partial(sizes.viscous, share=0.012)),)
     confusable_with = ("torque_offset", "spring")
-
-    def typical(self, robot):
-        # A fifth of the usual viscous friction.
-        return [0.012 * sizes.effort(robot, self.joint) / sizes.speed(robot, self.joint)]
 
     def torque(self, motion, values):
         return values[0] * np.abs(motion.velocity)
@@ -88,14 +83,11 @@ class CoulombFriction(JointTorqueEffect):
     wanders = True
     equation = "$l\\,\\mathrm{sign}\\,\\dot q$, a ramp below 0.001 rad/s (m/s)"
     source = _ARMSTRONG
-    quantities = (Parameter("level", "N m", lower=0.0),)
+    quantities = (Parameter("level", "N m", lower=0.0, typical=partial(sizes.effort, share=0.05)),)
     confusable_with = ("viscous_friction", "stribeck_friction", "load_friction")
     urdf_dynamics = "friction"
     column_in_time = "sampled"
     reverses_at_once = True
-
-    def typical(self, robot):
-        return [0.05 * sizes.effort(robot, self.joint)]
 
     def torque(self, motion, values):
         return values[0] * motion.direction
@@ -106,13 +98,13 @@ class PostureFriction(JointTorqueEffect):
     summary = "constant friction that grows and falls with the joint's angle"
     equation = "$(a \\cos q + b \\sin q)\\,\\mathrm{sign}\\,\\dot q$, beside a Coulomb friction"
     source = _ARMSTRONG
-    quantities = (Parameter("cosine", "N m"), Parameter("sine", "N m"))
+    # A fifth of the usual Coulomb friction.
+    quantities = (
+        Parameter("cosine", "N m", typical=partial(sizes.effort, share=0.008)),
+        Parameter("sine", "N m", typical=partial(sizes.effort, share=0.006)),
+    )
     confusable_with = ("coulomb_friction", "load_friction")
     reverses_at_once = True
-
-    def typical(self, robot):
-        # A fifth of the usual Coulomb friction.
-        return [0.008 * sizes.effort(robot, self.joint), 0.006 * sizes.effort(robot, self.joint)]
 
     def torque(self, motion, values):
         return (values[0] * np.cos(motion.position) + values[1] * np.sin(motion.position)) * motion.direction
@@ -127,9 +119,9 @@ class DahlFriction(JointTorqueEffect):
     )
     source = "[Dahl1968](references.md), with exponent 1"
     quantities = (
-        Parameter("level", "N m", lower=0.0, start=1.0),
+        Parameter("level", "N m", lower=0.0, start=1.0, typical=partial(sizes.effort, share=0.05)),
         # A bristle that slips sooner is Coulomb friction, which has some presliding in every drive.
-        Parameter("distance", "rad", 1e-3, 1.0, start=0.02, linear=False, step=1e-5, tried=BRISTLE_DISTANCES),
+        Parameter("distance", "rad", 1e-3, 1.0, start=0.02, typical=0.02, linear=False, step=1e-5, tried=BRISTLE_DISTANCES),
     )
     confusable_with = ("coulomb_friction", "stribeck_friction", "spring")
     # Whatever friction does at a reversal, it turns over a little late: that alone is no bristle. Coulomb friction is a bristle
@@ -137,9 +129,6 @@ class DahlFriction(JointTorqueEffect):
     instead_of = ("coulomb_friction", "stribeck_friction", "load_friction", "posture_friction", "warming_friction")
     reverses_at_once = True
     remembers = True
-
-    def typical(self, robot):
-        return [0.05 * sizes.effort(robot, self.joint), 0.02]
 
     def reach(self, values, bandwidth, step):
         return BRISTLE_MEMORY
@@ -157,14 +146,14 @@ class StribeckFriction(JointTorqueEffect):
     equation = "$l\\,e^{-(\\dot q / v)^2}\\,\\mathrm{sign}\\,\\dot q$"
     source = _ARMSTRONG
     quantities = (
-        Parameter("level", "N m", lower=0.0, start=1.0),
-        Parameter("velocity", "rad/s", 1e-3, 2.0, start=0.1, linear=False, step=1e-3, tried=STRIBECK_SPEEDS),
-    )
+        Parameter("level", "N m", lower=0.0, start=1.0, typical=partial(sizes.effort, share=0.02)),
+        Parameter(
+            "velocity", "rad/s", 1e-3, 2.0, start=0.1, typical=partial(sizes.speed, share=0.05), linear=False, step=1e-3,
+            tried=STRIBECK_SPEEDS,
+        ),
+    )  # fmt: skip
     confusable_with = ("coulomb_friction", "dahl_friction")
     reverses_at_once = True
-
-    def typical(self, robot):
-        return [0.02 * sizes.effort(robot, self.joint), 0.05 * sizes.speed(robot, self.joint)]
 
     def torque(self, motion, values):
         return values[0] * np.exp(-((motion.velocity / max(values[1], 1e-9)) ** 2)) * motion.direction
@@ -222,12 +211,9 @@ class TorqueOffset(JointTorqueEffect):
     summary = "amplifier bias or asymmetric friction"
     wanders = True
     equation = "$o$"
-    quantities = (Parameter("offset", "N m", -inf),)
+    quantities = (Parameter("offset", "N m", -inf, typical=partial(sizes.effort, share=0.01)),)
     always_the_same = True
     confusable_with = ("spring", "payload")
-
-    def typical(self, robot):
-        return [0.01 * sizes.effort(robot, self.joint)]
 
     def torque(self, motion, values):
         return np.full(len(motion.velocity), values[0])

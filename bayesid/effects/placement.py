@@ -79,14 +79,11 @@ class Backlash(PlayEffect):
     equation = "link at $q - \\frac{g}{2} \\tanh(\\tau / s)$, $g$ the gap, $s$ the torque at which teeth are firm"
     source = "[Nordin2002](references.md), the dead zone of a shaft without inertia, with soft teeth"
     quantities = (
+        # Three minutes of arc, between the one of a good robot's gear and the ten of a spur gear.
         Parameter("gap", "rad", 0.0, 0.2, typical=1e-3, linear=False, step=1e-6),
-        Parameter("firm", "N m", 1e-3, inf, start=1.0, linear=False, step=1e-4),
+        Parameter("firm", "N m", 1e-3, inf, start=1.0, typical=partial(sizes.effort, share=0.005), linear=False, step=1e-4),
     )
     confusable_with = ("encoder_offset", "joint_flexibility")
-
-    def typical(self, robot):
-        # Three minutes of arc, between the one of a good robot's gear and the ten of a spur gear.
-        return [1e-3, 0.005 * sizes.effort(robot, self.joint)]
 
     def reach(self, values, bandwidth, step):
         return OVERLAP / bandwidth

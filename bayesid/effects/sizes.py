@@ -33,12 +33,17 @@ def push(robot: Robot) -> float:
     return 0.05 * 9.81 * mass_beyond(robot, 0)
 
 
-def effort(robot: Robot, joint: int | None) -> float:
-    """Effort limit of a joint, default the first [N m or N]."""
+def effort(robot: Robot, joint: int | None, share: float = 1.0) -> float:
+    """A share of the effort limit of a joint, default the first [N m or N]."""
     limit = float(robot.effort_limit[joint or 0])
-    return limit if np.isfinite(limit) else ANY_EFFORT
+    return share * (limit if np.isfinite(limit) else ANY_EFFORT)
 
 
-def speed(robot: Robot, joint: int | None) -> float:
-    """Velocity limit of a joint, default the first [rad/s or m/s]."""
-    return float(motion_limits(robot)[2][joint or 0])
+def speed(robot: Robot, joint: int | None, share: float = 1.0) -> float:
+    """A share of the velocity limit of a joint, default the first [rad/s or m/s]."""
+    return share * float(motion_limits(robot)[2][joint or 0])
+
+
+def viscous(robot: Robot, joint: int | None, share: float) -> float:
+    """Viscous friction that takes a share of the effort limit at the velocity limit [N m s/rad or N s/m]."""
+    return effort(robot, joint, share) / speed(robot, joint)
