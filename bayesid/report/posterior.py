@@ -21,8 +21,7 @@ from bayesid.results.loaded import LoadedPosterior
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.rounding import DASH, channel_text, number, percent, with_half
 from bayesid.section import Html, Part, ShownSection, ShownTable, tag
-from bayesid.validation.headline import judged, still_predictable
-from bayesid.validation.prediction import BAND
+from bayesid.validation.prediction import BAND, judged, still_predictable
 
 _COLUMNS = 6
 _BINS = 36

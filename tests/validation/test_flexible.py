@@ -10,7 +10,7 @@ from bayesid.regression.row_cache import PILOT_ROWS
 from bayesid.robot.robot import load_robot
 from bayesid.signals.filters import LowPass
 from bayesid.validation import flexible
-from bayesid.validation.headline import still_predictable
+from bayesid.validation.prediction import still_predictable
 from tests.robots import ur5, write
 from tests.simulated import Motion, Sensor, experiment, fourier, recording
 
