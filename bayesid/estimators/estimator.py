@@ -22,28 +22,18 @@ OPTIONAL = {"optional": True}
 
 @dataclass(frozen=True, kw_only=True)
 class Details:
-    """What every estimator says.
+    """What every estimator says."""
 
-    Attributes
-    ----------
-    model_complete
-        Whether generalised and channel-weighted least squares agree, so that residuals are noise alone; None: not tested.
-    agreement_of_gls_and_wls
-        Probability of a difference as large as theirs when the model is complete.
-    dispersion
-        Factor that covariances have for model error: how much more the fit scatters between parts of the recording
-        than noise explains; 1 where noise does.
-    dispersion_by_channel
-        That of each channel's readings, of which the former is the mean; None where the model is complete, or noise explains it.
-    warnings
-        What the user should know before using the estimate.
-    """
-
+    #: Whether generalised and channel-weighted least squares agree, so that residuals are noise alone; None: not tested. And the
+    #: probability of a difference as large as theirs when the model is complete.
     model_complete: bool | None = field(default=None, metadata=OPTIONAL)
     agreement_of_gls_and_wls: float | None = field(default=None, metadata=OPTIONAL)
+    #: Factor that covariances have for model error: how much more the fit scatters between parts of the recording than noise
+    #: explains; 1 where noise does. And that of each channel's readings, of which it is the mean; None where the model is
+    #: complete, or noise explains it.
     dispersion: float | None = field(default=None, metadata=OPTIONAL)
     dispersion_by_channel: Mapping[str, float] | None = field(default=None, metadata=OPTIONAL)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # what the user should know before using the estimate
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as in ``estimate.json``; warnings only where there are any."""

@@ -47,28 +47,18 @@ def with_ends(value: float, std: float, unit: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class EstimatedParameter:
-    """One parameter with its interval.
+    """One parameter with its interval."""
 
-    Attributes
-    ----------
-    name, label
-        The name in full, and one for reading.
-    value, std, low, high
-        Estimate, standard deviation and ends of the central interval; nan where no honest one exists.
-    unit
-        Unit of these four numbers.
-    kind
-        ``alone``, ``combination``, ``weak``, ``prior`` or ``effect``.
-    """
-
+    #: The name in full, and one for reading.
     name: str
     label: str
+    #: Estimate, standard deviation and ends of the central interval, nan where no honest one exists, and their unit.
     value: float
     std: float
     low: float
     high: float
     unit: str
-    kind: str
+    kind: str  # ``alone``, ``combination``, ``weak``, ``prior`` or ``effect``
 
     def __repr__(self) -> str:
         value, spread = with_interval(self.value, self.std, self.low, self.high)
@@ -77,24 +67,16 @@ class EstimatedParameter:
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """Parameters of a result with their central intervals, base parameters first.
+    """Parameters of a result with their central intervals, base parameters first."""
 
-    Attributes
-    ----------
-    names, labels, units, classes
-        Texts (p,); the class of what is no base parameter is ``effect``.
-    values, std, low, high
-        (p,); nan where there is no honest interval.
-    """
-
-    names: Sequence[str]
+    names: Sequence[str]  # (p,)
     labels: Sequence[str]
-    values: np.ndarray
+    values: np.ndarray  # (p,); these and the next are nan where there is no honest interval
     std: np.ndarray
     low: np.ndarray
     high: np.ndarray
     units: Sequence[str]
-    classes: Sequence[str]
+    classes: Sequence[str]  # that of what is no base parameter is ``effect``
 
     def __post_init__(self) -> None:
         """Leave no rounding errors that look like values."""
@@ -105,13 +87,7 @@ class Parameters:
         return len(self.names)
 
     def __getitem__(self, name: str) -> EstimatedParameter:
-        """The parameter of a name or a label.
-
-        Raises
-        ------
-        KeyError
-            There is none; the message lists the labels.
-        """
+        """The parameter of a name or a label; a `KeyError` that lists the labels where there is none."""
         for known in (self.names, self.labels):
             if name in known:
                 k = list(known).index(name)

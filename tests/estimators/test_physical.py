@@ -19,8 +19,7 @@ from threadpoolctl import threadpool_limits
 from bayesid.errors import BayesidWarning, InputError
 from bayesid.estimators import Physical, fit
 from bayesid.estimators.conic.bounds import Bounds, collision_boxes, load_bounds
-from bayesid.estimators.conic.entropic import solve_entropic
-from bayesid.estimators.conic.problem import _RIGHT, _UP, MARGIN, Conic, _inward, solution_at, solve_conic
+from bayesid.estimators.conic.problem import _RIGHT, _UP, MARGIN, Conic, _inward, solution_at, solve_conic, solve_entropic
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import PriorKnowledge, Regression

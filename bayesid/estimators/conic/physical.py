@@ -24,9 +24,8 @@ from scipy.stats import chi2
 from bayesid.arguments import call
 from bayesid.errors import BayesidWarning, EstimationError, InputError
 from bayesid.estimators.conic.bounds import Bounds
-from bayesid.estimators.conic.entropic import solve_entropic
 from bayesid.estimators.conic.links import LinkData, LinkPrior, closest_within, compressed, conic, link_prior, misfit
-from bayesid.estimators.conic.problem import Conic, Infeasible, Linear, Solution, Unsolved, solve_conic
+from bayesid.estimators.conic.problem import Conic, Infeasible, Linear, Solution, Unsolved, solve_conic, solve_entropic
 from bayesid.estimators.covariance import covariance_middle
 from bayesid.estimators.estimator import OPTIONAL, Details, Estimate
 from bayesid.estimators.least_squares import completeness, likelihood_weights, make_estimate, weighted_factor
