@@ -140,15 +140,14 @@ def test_a_point_beside_the_boundary_is_moved_inside_at_next_to_no_cost(panda):
         solution = solve_conic(problem)
         if (solution.ranks == 4).all() or solution.iterations == 0:
             continue
-        matrix, low, cones = problem.constraints()
         body = int(np.argmin(solution.ranks))
         values, vectors = np.linalg.eigh(problem.pseudo_inertias(solution.x)[body])
         back = np.linalg.cholesky(problem.references[body]) @ vectors[:, 0]
         x = solution.x.copy()
         x[list(problem.bodies[body])] -= (values[0] + 0.5 * MARGIN) * inertia.from_pseudo_inertia(np.outer(back, back))
-        outside = solution_at(problem, matrix, low, x, solution.multipliers, 1)
+        outside = solution_at(problem, x, solution.multipliers, 1)
         assert outside.violation == pytest.approx(0.5 * MARGIN, rel=1e-3)
-        inside = _inward(problem, matrix, low, cones, outside)
+        inside = _inward(problem, outside)
         assert inside.certified and inside.violation <= 0.1 * MARGIN
         moved += 1
 
@@ -160,11 +159,10 @@ def test_a_wrong_solution_is_not_certified(panda):
     while solution is None or solution.iterations == 0 or (solution.ranks == 4).all():
         _, _, problem = random_case(panda, rng, bounded=False)
         solution = solve_conic(problem)
-    matrix, low, _ = problem.constraints()
     away = np.linalg.solve(problem.factor, rng.normal(size=len(solution.x)))
     for x, z in ((solution.x + 1e-2 * away, solution.multipliers), (solution.x, 1.1 * solution.multipliers),
                  (solution.x, 0 * solution.multipliers), (problem.centre, solution.multipliers)):  # fmt: skip
-        assert not solution_at(problem, matrix, low, x, z, 1).certified
+        assert not solution_at(problem, x, z, 1).certified
 
 
 # Links of negative mass are far from any body: the solver may stop at three times the gap that it is asked for, and says so.

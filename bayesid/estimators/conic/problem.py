@@ -22,7 +22,7 @@ lower bound there.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -65,6 +65,7 @@ class Conic:
     references: np.ndarray
     bounds: tuple[Linear, ...] = ()  # linear bounds
     margin: float = MARGIN  # eps; see `MARGIN`
+    room: float = 0.0  # by how much all scaled constraints are tighter than that
 
     @cached_property
     def congruences(self) -> np.ndarray:
@@ -91,6 +92,7 @@ class Conic:
         bodies = np.array([inertia.pseudo_inertia(x[list(columns)]) for columns in self.bodies]).reshape(-1, 4, 4)
         return self.congruences @ bodies @ np.swapaxes(self.congruences, 1, 2) - self.margin * np.eye(4)
 
+    @cached_property
     def constraints(self) -> tuple[np.ndarray, np.ndarray, list]:
         """B (k, n), c (k,) and Clarabel's cones with ``B x - c`` in them.
 
@@ -99,15 +101,34 @@ class Conic:
         matrix, level = self.linear
         size = np.maximum(np.linalg.norm(matrix * self.units, axis=1), np.abs(level) * 1e-3)
         size[size == 0] = 1.0
-        rows, low = [matrix / size[:, None]], [level / size]
+        rows, low = [matrix / size[:, None]], [level / size + self.room]
         cones: list[Any] = [clarabel.NonnegativeConeT(len(level))] if len(level) else []
         for columns, root in zip(self.bodies, self.congruences, strict=True):
             block = np.zeros((10, len(self.centre)))
             block[:, list(columns)] = pack(root @ inertia.BASIS @ root.T).T
             rows.append(block)
-            low.append(pack(self.margin * np.eye(4)))
+            low.append(pack((self.margin + self.room) * np.eye(4)))
             cones.append(clarabel.PSDTriangleConeT(4))
         return np.concatenate(rows), np.concatenate(low), cones
+
+    @property
+    def parts(self) -> tuple[slice, slice]:
+        """Indices of bounds and bodies among the constraints."""
+        a = sum(len(b.low) for b in self.bounds)
+        return slice(0, a), slice(a, a + 10 * len(self.bodies))
+
+    def slack(self, x: np.ndarray) -> np.ndarray:
+        """``B x - c`` (k,)."""
+        matrix, low, _ = self.constraints
+        return matrix @ x - low
+
+    def violation(self, x: np.ndarray) -> float:
+        """Largest violation of the scaled constraints; at most 0 when all hold."""
+        slack, (bounds, bodies) = self.slack(x), self.parts
+        worst = [-np.inf, *(-slack[bounds])]
+        if self.bodies:
+            worst.append(-np.linalg.eigvalsh(unpack(slack[bodies].reshape(-1, 10))).min())
+        return float(max(worst))
 
 
 def pack(symmetric: np.ndarray) -> np.ndarray:
@@ -122,24 +143,9 @@ def unpack(packed: np.ndarray) -> np.ndarray:
     return out
 
 
-def parts(problem: Conic) -> tuple[slice, slice]:
-    """Indices of bounds and bodies among the constraints."""
-    a = sum(len(b.low) for b in problem.bounds)
-    return slice(0, a), slice(a, a + 10 * len(problem.bodies))
-
-
-def violation(problem: Conic, slack: np.ndarray) -> float:
-    """Largest violation of the scaled constraints; at most 0 when all hold."""
-    bounds, bodies = parts(problem)
-    worst = [-np.inf, *(-slack[bounds])]
-    if problem.bodies:
-        worst.append(-np.linalg.eigvalsh(unpack(slack[bodies].reshape(-1, 10))).min())
-    return float(max(worst))
-
-
 def project_dual(problem: Conic, z: np.ndarray) -> np.ndarray:
     """Nearest multipliers in the dual cone (both cones are their own dual)."""
-    bounds, bodies = parts(problem)
+    bounds, bodies = problem.parts
     out = z.copy()
     out[bounds] = np.maximum(z[bounds], 0.0)
     values, vectors = np.linalg.eigh(unpack(z[bodies].reshape(-1, 10)))
@@ -175,17 +181,17 @@ class Solution:
         return abs(self.gap) <= LARGEST_GAP and self.violation <= MARGIN and self.stationarity <= 1e-6
 
 
-def solution_at(problem: Conic, matrix: np.ndarray, low: np.ndarray, x: np.ndarray, z: np.ndarray, iterations: int) -> Solution:
+def solution_at(problem: Conic, x: np.ndarray, z: np.ndarray, iterations: int) -> Solution:
     """Residuals from the problem itself; nothing of the solver's own account is used."""
     z = project_dual(problem, z)
-    slack = matrix @ x - low
+    (matrix, low, _), slack = problem.constraints, problem.slack(x)
     away = problem.factor @ (x - problem.centre)
     pull = solve_triangular(problem.factor, matrix.T @ z, trans=1)
     objective = 0.5 * float(away @ away)
     bound = float(z @ (low - matrix @ problem.centre)) - 0.5 * float(pull @ pull)
     margins = problem.pseudo_inertias(x)
     inside = np.linalg.eigvalsh(margins)
-    pushed = np.linalg.eigvalsh(unpack(z[parts(problem)[1]].reshape(-1, 10)))[:, ::-1]
+    pushed = np.linalg.eigvalsh(unpack(z[problem.parts[1]].reshape(-1, 10)))[:, ::-1]
     # On the boundary: the constraint pushes in a direction in which the body has next to no extent.
     ranks = 4 - np.count_nonzero((pushed > np.maximum(inside, 0.0)) & (inside < 1e-3), axis=1)
     return Solution(
@@ -193,7 +199,7 @@ def solution_at(problem: Conic, matrix: np.ndarray, low: np.ndarray, x: np.ndarr
         multipliers=z,
         objective=objective,
         bound=bound,
-        violation=max(violation(problem, slack), 0.0),
+        violation=max(problem.violation(x), 0.0),
         stationarity=float(np.linalg.norm(away - pull) / (1.0 + np.linalg.norm(away))),
         complementarity=float(z @ slack) / (1.0 + objective),
         eigenvalues=inside + problem.margin,
@@ -238,19 +244,18 @@ def solve_conic(problem: Conic) -> Solution:
     `Infeasible` where no parameters meet all constraints, and `Unsolved` where the solver stopped without a solution whose
     certificate holds.
     """
-    matrix, low, cones = problem.constraints()
-    if violation(problem, matrix @ problem.centre - low) <= 0.0:
-        return solution_at(problem, matrix, low, problem.centre, np.zeros(len(low)), 0)
-    return _inward(problem, matrix, low, cones, _minimum(problem, matrix, low, cones))
+    if problem.violation(problem.centre) <= 0.0:
+        return solution_at(problem, problem.centre, np.zeros(problem.parts[1].stop), 0)
+    return _inward(problem, _minimum(problem))
 
 
-def _minimum(problem: Conic, matrix: np.ndarray, low: np.ndarray, cones: list) -> Solution:
+def _minimum(problem: Conic) -> Solution:
     """By Clarabel; the first of its solutions whose certificate holds with plenty to spare, else the best."""
-    slack = matrix @ problem.centre - low
+    (matrix, _, cones), slack = problem.constraints, problem.slack(problem.centre)
     # In u = C (x - m) the objective is 1/2 ||u||^2 whatever the data, and only constraints are left to be scaled: each
     # cone by one positive number. Squaring C, or scaling columns alone, costs half the digits.
     whitened = solve_triangular(problem.factor, matrix.T, trans=1).T
-    _, bodies = parts(problem)
+    _, bodies = problem.parts
     scale = np.linalg.norm(whitened, axis=1)
     scale[bodies] = np.repeat(np.linalg.norm(scale[bodies].reshape(-1, 10), axis=1), 10)
     scale = 1.0 / np.where(scale > 0, scale, 1.0)
@@ -265,20 +270,20 @@ def _minimum(problem: Conic, matrix: np.ndarray, low: np.ndarray, cones: list) -
             continue  # without bounds there are always bodies: the solver gave up
         x = problem.centre + solve_triangular(problem.factor, np.array(found.x))
         if np.isfinite(x).all():
-            tries.append(solution_at(problem, matrix, low, x, np.array(found.z) * scale, found.iterations))
+            tries.append(solution_at(problem, x, np.array(found.z) * scale, found.iterations))
             if _quality(tries[-1]) <= _SURE:
                 return tries[-1]
     if tries:
         # Any multipliers give a lower bound: the highest one may go with a point from another try.
         z = max(tries, key=lambda t: t.bound).multipliers
-        tries += [solution_at(problem, matrix, low, t.x, z, t.iterations) for t in tries]
+        tries += [solution_at(problem, t.x, z, t.iterations) for t in tries]
     best = min(tries, key=_quality, default=None)
     if best is None or not _quality(best) < 1e3:
         raise Unsolved(max((t.bound for t in tries), default=0.0))
     return best
 
 
-def _inward(problem: Conic, matrix: np.ndarray, low: np.ndarray, cones: list, found: Solution) -> Solution:
+def _inward(problem: Conic, found: Solution) -> Solution:
     """The solution, moved towards the inside as far as its certificate gains from it.
 
     An interior-point method stops beside the boundary, on either side. Bodies are moved to the nearest ones that are
@@ -292,20 +297,16 @@ def _inward(problem: Conic, matrix: np.ndarray, low: np.ndarray, cones: list, fo
         return found
 
     def certified(x: np.ndarray) -> Solution:
-        return solution_at(problem, matrix, low, x, found.multipliers, found.iterations)
+        return solution_at(problem, x, found.multipliers, found.iterations)
 
     best = min(found, certified(_clipped(problem, found.x)), key=_quality)
     if _quality(best) <= _SURE:
         return best
-    tight = low.copy()
-    bounds, bodies = parts(problem)
-    tight[bounds] += _ROOM
-    tight[bodies] += np.tile(pack(_ROOM * np.eye(4)), len(problem.bodies))
     try:
-        inside = _minimum(problem, matrix, tight, cones).x
+        inside = _minimum(replace(problem, room=_ROOM)).x
     except (Infeasible, EstimationError):
         return best  # bounds that leave no room, such as an exact mass
-    room = -violation(problem, matrix @ inside - low)
+    room = -problem.violation(inside)
     if room <= 0.0:
         return best
     way = best.violation / (best.violation + room) * (inside - best.x)
