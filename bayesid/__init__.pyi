@@ -5,9 +5,8 @@ from .errors import BayesidError, BayesidWarning, EstimationError, InputError
 from .estimators import DEFAULT_METHOD, METHODS, estimator, fit
 from .estimators.conic.bounds import Bounds, load_bounds
 from .estimators.conic.physical import Physical
-from .estimators.errors_in_variables import TotalLeastSquares
+from .estimators.errors_in_variables import InstrumentalVariables, TotalLeastSquares
 from .estimators.estimator import CustomDetails, Estimate, Estimator
-from .estimators.instrumental_variables import InstrumentalVariables
 from .estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from .estimators.robust.m_estimators import Huber, Student
 from .posterior.result import Posterior

@@ -11,10 +11,9 @@ from scipy.stats import chi2
 
 from bayesid.errors import BayesidWarning, EstimationError, InputError
 from bayesid.estimators.conic.physical import Physical
-from bayesid.estimators.errors_in_variables import TotalLeastSquares
+from bayesid.estimators.errors_in_variables import InstrumentalVariables, TotalLeastSquares
 from bayesid.estimators.estimator import Estimate, Estimator
 from bayesid.estimators.factor import pilot_of
-from bayesid.estimators.instrumental_variables import InstrumentalVariables
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from bayesid.estimators.robust.m_estimators import Huber, Student
 from bayesid.estimators.weights import learn_weights

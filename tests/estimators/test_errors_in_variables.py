@@ -6,8 +6,7 @@ from scipy.stats import kstest
 
 from bayesid.errors import InputError
 from bayesid.estimators import fit
-from bayesid.estimators.errors_in_variables import TotalLeastSquares
-from bayesid.estimators.instrumental_variables import InstrumentalVariables
+from bayesid.estimators.errors_in_variables import InstrumentalVariables, TotalLeastSquares
 from bayesid.estimators.sensor_noise import sensor_noise
 from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.experiment import load_experiment
