@@ -93,7 +93,9 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
             share = differences(effect, values, lambda v: np.array(effect.inertia(v)))
             out = tangent(model, unit[:, :, None] * share)
         case families.LoadEffect():
-            out = tangent(model, _load_columns(model, effect, values))
+            for body, wrench in effect.load_columns(model.robot, model.segment, model.states, values):
+                out -= np.matmul(model.twists, wrench) * model.carries[:, body, None]
+            out = tangent(model, out)
         case families.GravityEffect() if not any(model.of_family(f) for f in _GIVING):
             turned = differences(effect, values, lambda v: model.changed(Term(effect, v)).gravity)
             out = tangent(model, _weight(model) @ turned)
@@ -108,14 +110,6 @@ def effect_derivatives_at_joint(model: Model, effect: families.JointTorqueEffect
     """Derivative of the reading of a joint's torque with respect to the parameters of what is inside that joint (N, k)."""
     motion = model.joint_motion(effect)
     return differences(effect, values, lambda v: effect.torque(motion, v)) * model.torque_chain.gain[model.joints[effect.joint]]
-
-
-def _load_columns(model: Model, effect: families.LoadEffect, values: tuple[float, ...]) -> np.ndarray:
-    """Derivative of what the channels read of loads from outside (N, c, k), from that of their wrenches."""
-    out = np.zeros((len(model.segment.times), len(model.channels), len(values)))
-    for body, wrench in effect.load_columns(model.robot, model.segment, model.states, values):
-        out -= np.matmul(model.twists, wrench) * model.carries[:, body, None]
-    return out
 
 
 def _without_play(model: Model, effect: families.PlayEffect) -> bool:

@@ -36,35 +36,21 @@ def _along(state: np.ndarray, row: int, direction) -> np.ndarray:
 
 
 def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Row by row (N, 3); `np.cross` takes several times as long."""
-    out = np.empty((len(one), 3))
+    """Row by row, of vectors (N, 3) or (N, 3, k); `np.cross` takes several times as long."""
+    out = np.empty(np.broadcast_shapes(one.shape, other.shape))
     for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
         out[:, k] = one[:, i] * other[:, j] - one[:, j] * other[:, i]
     return out
 
 
 def _wrench(points: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """A force (N, 3) at points (N, 3) as a wrench about the origin (N, 6)."""
+    """A force (N, 3) at points (N, 3) as a wrench about the origin (N, 6); so, too, of changes (N, 3, k) at (N, 3, 1)."""
     return np.concatenate([force, _cross(points, force)], axis=1)
 
 
 def _axes(state: np.ndarray, row: int) -> np.ndarray:
     """A link's axes in base axes, the columns of its rotation (N, 3, 3)."""
     return state[:, row, R : R + 9].reshape(-1, 3, 3)
-
-
-def _wrench_columns(points: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Changes of a force (N, 3, k) at points (N, 3) as changes of its wrench about the origin (N, 6, k)."""
-    out = np.empty((len(points), 6, forces.shape[2]))
-    out[:, :3] = forces
-    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        out[:, 3 + k] = points[:, i, None] * forces[:, j] - points[:, j, None] * forces[:, i]
-    return out
-
-
-def _moved(moves: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """What moves of its point (N, 3, k) change of the moment of a force (N, 3), (N, 3, k)."""
-    return -_wrench_columns(force, moves)[:, 3:]
 
 
 class Tether(LoadEffect):
@@ -110,8 +96,8 @@ class Tether(LoadEffect):
         along = np.where(taut, 1.0, 0.0)[:, :, None] * np.eye(3) - slack * np.eye(3)
         pulls[:, :, 2:5] = stiffness * (along + slack * unit[:, :, None] * unit[:, None, :])
         pulls[:, :, 5:] = -(pulls[:, :, 2:5] @ axes)
-        out = _wrench_columns(points, pulls)
-        out[:, 3:, 5:] += _moved(axes, stiffness * stretch * unit)
+        out = _wrench(points[:, :, None], pulls)
+        out[:, 3:, 5:] += _cross(axes, (stiffness * stretch * unit)[:, :, None])  # as the point moves
         return [(body_of(robot, self.joint), out)]
 
     def linearisations(self, around):
@@ -178,8 +164,8 @@ class ExternalContact(LoadEffect):
             pushes = np.zeros((len(points), 3, 8))
             pushes[:, :, :2] = push[:, None] * _window_slopes(segment.times, values[0], values[1])[:, None, :]
             pushes[:, :, 2:5] = share[:, :, None] * np.eye(3)
-            out = _wrench_columns(points, pushes)
-            out[:, 3:, 5:] += _moved(axes, share * push)
+            out = _wrench(points[:, :, None], pushes)
+            out[:, 3:, 5:] += _cross(axes, (share * push)[:, :, None])
         return [(body_of(robot, self.joint), out)]
 
     def linearisations(self, around):

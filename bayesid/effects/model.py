@@ -306,21 +306,16 @@ class Model:
         return out
 
     def _rotor(self, states: np.ndarray, effect: families.RotorEffect):
-        assert effect.joint is not None
-        q, v, a = self.motor
-        joint = effect.joint
-        if self.segment.still:
-            return rotor_couple(self.robot, states, joint, np.zeros(len(q)), np.zeros(len(q)))
-        return rotor_couple(self.robot, states, joint, v[:, joint], a[:, joint])
+        joint, turns, (_, v, a) = effect.joint or 0, float(not self.segment.still), self.motor
+        return rotor_couple(self.robot, states, joint, turns * v[:, joint], turns * a[:, joint])
 
     def rotor_reading(self, channels: Channels, carries, states, twists, effect: families.RotorEffect) -> np.ndarray:
         """What a rotor of unit inertia adds to each channel (N, c)."""
         body, couple, own = self._rotor(states, effect)
         out = np.einsum("nck,nk->nc", twists, couple) * carries[:, body]
-        joint, ratio = effect.joint, effect.ratio
-        name = f"tau{(-1 if joint is None else joint) + 1}"
-        if name in channels.names and joint is not None:
-            rate = 0.0 if self.segment.still or ratio is None else ratio * self.motor[2][:, joint]
+        joint = effect.joint or 0
+        if (name := f"tau{joint + 1}") in channels.names:
+            rate = 0.0 if self.segment.still or effect.ratio is None else effect.ratio * self.motor[2][:, joint]
             out[:, channels.names.index(name)] += own + rate
         return out
 
@@ -397,10 +392,6 @@ class Model:
             return made(self.given[:, self.joints[joint]])
         return self.segment.joints.get(("motion", joint, tuple(chain.delays.items()), pose), made)
 
-    def inside(self, effect: families.JointTorqueEffect, values: Sequence[float]) -> np.ndarray:
-        """What something inside a joint adds to its torque (N,)."""
-        return effect.torque(self.joint_motion(effect), values)
-
     @cached_property
     def ungained(self) -> np.ndarray:
         """What the instruments read (N, c) but for the torques' gain."""
@@ -409,7 +400,7 @@ class Model:
             out[:, self.wrench] = self.chain().reading(self.segment, self.true[:, self.wrench])
         for effect, values in self.of_family(families.JointTorqueEffect):
             if effect.joint in self.joints:
-                out[:, self.joints[effect.joint]] += self.inside(effect, values)
+                out[:, self.joints[effect.joint]] += effect.torque(self.joint_motion(effect), values)
         for effect, values in self.of_family(families.ReadingEffect):
             out += self.torque_chain.late(self.segment, effect.added(self.readout, values))
         return out

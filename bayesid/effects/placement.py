@@ -103,21 +103,8 @@ class Backlash(PlayEffect):
 
     def linearisations(self, around):
         # Without play the torque at which teeth are firm says nothing: it is tried.
-        effort = sizes.effort(around.robot, self.joint)
-        return tuple(
-            Linearisation(at, partial(_firm_at, at), _play_alone)
-            for at in (np.array([0.0, share * effort]) for share in FIRM_SHARES)
-        )
-
-
-def _firm_at(at: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """A play, and the torque that was tried."""
-    return at + [a[0], 0.0]
-
-
-def _play_alone(values: np.ndarray) -> np.ndarray:
-    """The play's amplitude."""
-    return np.array([values[0], 0.0])
+        effort, held = sizes.effort(around.robot, self.joint), np.array([False, True])
+        return tuple(Linearisation.holding(np.array([0.0, share * effort]), held) for share in FIRM_SHARES)
 
 
 class BaseTilt(GravityEffect):

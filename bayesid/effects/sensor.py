@@ -141,7 +141,7 @@ class SensorTranslation(SensorEffect):
         parts = []
         for unit in np.eye(3):
             moved = np.einsum("ij,nj->ni", self.applied(chain, tuple(unit)).pose - chain.pose, true)
-            parts.append(chain.late(segment, moved) @ chain.mix.T)
+            parts.append(segment.late(moved, chain.delay) @ chain.mix.T)
         return np.stack(parts, axis=-1)
 
 

@@ -51,13 +51,9 @@ class SensorChain:
         back = pin.exp3(np.asarray(self.turn, float)).T
         return np.kron(np.eye(2), back) @ pose
 
-    def late(self, segment: MotionSegment, values: np.ndarray) -> np.ndarray:
-        """Values (N, ...) of the time that the sensor reads, its delay ago."""
-        return segment.late(values, self.delay)
-
     def sensed(self, segment: MotionSegment, wrench: np.ndarray) -> np.ndarray:
         """Wrenches (N, 6, k) before gains and cross-talk."""
-        return self.late(segment, _mixed(self.pose, wrench))
+        return segment.late(_mixed(self.pose, wrench), self.delay)
 
     def linear(self, segment: MotionSegment, wrench: np.ndarray) -> np.ndarray:
         """All but offset and drift, (N, 6, k)."""

@@ -67,15 +67,21 @@ class TorqueChain:
         out[:, order] = np.einsum("kj,nk...->nj...", self.transmission, true[:, order])
         return out
 
-    def late(self, segment: MotionSegment, values: np.ndarray) -> np.ndarray:
-        """What the channels' smooth values (N, c, ...) were at the times that torques are read for."""
-        return self._late(segment, values, self.joints)
+    def late(self, segment: MotionSegment, values: np.ndarray, column: Mapping | None = None) -> np.ndarray:
+        """What smooth values (N, c, ...) were at the times that torques are read for, by joint's column, default its channel."""
+        if not self.delays:
+            return values
+        out, column = np.array(values), column or self.joints
+        for delay in set(self.delays.values()):
+            at = [column[joint] for joint, own in self.delays.items() if own == delay]
+            out[:, at] = segment.late(out[:, at], delay)
+        return out
 
     def late_motion(self, segment: MotionSegment, motion: Motion, pose: tuple[Term, ...]) -> Motion:
         """The joints' positions, velocities and accelerations (N, n) at these times; ``pose`` is what they differ by else."""
 
         def made() -> Motion:
-            q, v, a = (self._late(segment, x, {joint: joint for joint in self.joints}) for x in motion)
+            q, v, a = (self.late(segment, x, {joint: joint for joint in self.joints}) for x in motion)
             return q, v, a
 
         key = ("late", tuple(self.delays.items()), tuple(self.joints), pose)
@@ -92,12 +98,3 @@ class TorqueChain:
             times, cell = times - self.delays[joint], cell or float(np.ptp(times)) / max(len(times) - 1, 1)
         q, v, a = (np.ascontiguousarray(x[:, joint]) for x in late)
         return JointMotion(times, q, v, a, load, cell)
-
-    def _late(self, segment: MotionSegment, values: np.ndarray, column: Mapping) -> np.ndarray:
-        if not self.delays:
-            return values
-        out = np.array(values)
-        for delay in set(self.delays.values()):
-            at = [column[joint] for joint, own in self.delays.items() if own == delay]
-            out[:, at] = segment.late(out[:, at], delay)
-        return out

@@ -471,10 +471,9 @@ def _stored(folder: Path, section: MotionSection, setup: Experiment, stated: Col
     if section.chunked is False or section.kind == "poses":
         return None
     place = f"experiment.toml: motion '{section.name}': a table that is read in chunks"
-    other = bool(stated.columns or stated.units or stated.scale)
-    if other and section.chunked:
-        raise InputError(f"{place} has bayesid's own columns; write it once with them, and remove [columns] and [units]")
-    if other:
+    if stated.columns or stated.units or stated.scale:
+        if section.chunked:
+            raise InputError(f"{place} has bayesid's own columns; write it once with them, and remove [columns] and [units]")
         return None
     stored = stored_table(folder / section.table, section.table, setup.robot.n, setup.sensor is not None, section.chunked)
     for key in ("period", "parked"):

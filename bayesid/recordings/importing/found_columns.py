@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -51,11 +51,6 @@ class Layout:
 
     joints: tuple[str, ...]  # names of the joints that have positions, in the order of q1 ... qn
     found: tuple[FoundColumn, ...]  # columns of positions, velocities, commands, torques and the wrench
-
-    def left_over(self, streams: Iterable[Stream], clocks: Iterable[tuple[Stream, str]]) -> list[str]:
-        """Full names of columns that are not used."""
-        used = {(id(f.stream), f.column) for f in self.found} | {(id(stream), column) for stream, column in clocks}
-        return [s.full_name(column) for s in streams for column in s.columns if (id(s), column) not in used]
 
 
 def find_columns(

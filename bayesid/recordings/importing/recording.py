@@ -185,8 +185,10 @@ class Recording:
     @property
     def left_over(self) -> tuple[str, ...]:
         """Full names of columns, and topics, that are not used."""
-        times = [(stream, clock.column) for stream, clock in self.clocks]
-        return (*self.layout.left_over(self.source.streams, times), *self.source.unread)
+        used = {(id(found.stream), found.column) for found in self.layout.found}
+        used |= {(id(stream), clock.column) for stream, clock in self.clocks}
+        columns = [s.full_name(column) for s in self.source.streams for column in s.columns if (id(s), column) not in used]
+        return (*columns, *self.source.unread)
 
     @property
     def names(self) -> dict[str, str]:
