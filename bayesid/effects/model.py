@@ -185,8 +185,7 @@ class Model:
             q, v, a = self.link_side(q, v, a)
         root = None
         for effect, values in self.of_family(families.MountEffect):
-            others = tuple(t for t in self._physical if t.effect != effect)
-            key = ("mount load", self.robot.fingerprint, self._pose, self.links.tobytes(), others, self._followed)
+            key = ("mount load", self._key_without(families.MountEffect), self._followed)
             load = segment.joints.get(
                 key, lambda: RigidMountLoad.of(robot, segment, (q, v, a), self.row_of, self.bodies, self.gravity, self._moment)
             )
@@ -230,18 +229,17 @@ class Model:
 
     def _felt(self, joint: int) -> np.ndarray:
         """Inertia (N,) that a joint feels where motors hold the joints [kg m^2 or kg]."""
-        motors = self.joint_motion_of_motors[0]
-        return self.segment.joints.get(("felt", joint, self._stiff_key), lambda: own_inertia(self.link_torque, motors, joint))
+        key, motors = ("felt", joint, self._key_without(families.FlexibleJointEffect)), self.joint_motion_of_motors[0]
+        return self.segment.joints.get(key, lambda: own_inertia(self.link_torque, motors, joint))
 
     def _stiff(self, joint: int) -> np.ndarray:
         """Torque (N,) that a joint takes if links are where motors hold the joints [N m or N]."""
-        motors, only = self.joint_motion_of_motors, np.array([joint])
-        return self.segment.joints.get(("stiff", joint, self._stiff_key), lambda: self.link_torque(motors, only)[:, 0])
+        key, motors = ("stiff", joint, self._key_without(families.FlexibleJointEffect)), self.joint_motion_of_motors
+        return self.segment.joints.get(key, lambda: self.link_torque(motors, np.array([joint]))[:, 0])
 
-    @property
-    def _stiff_key(self) -> tuple:
-        """What torques depend on while no joint gives."""
-        others = tuple(t for t in self._physical if families.FlexibleJointEffect not in type(t.effect).__mro__)
+    def _key_without(self, family: type[Effect]) -> tuple:
+        """What torques depend on but for the effects of a family."""
+        others = tuple(t for t in self._physical if family not in type(t.effect).__mro__)
         return (self.robot.fingerprint, self._pose, self.links.tobytes(), others)
 
     def link_torque(self, link: Motion, joints: np.ndarray) -> np.ndarray:
@@ -266,7 +264,7 @@ class Model:
         if self.segment.still or len(self.segment.times) < 8:  # as poses lean
             behind = lean(self.link_torque(self.held_by_motors, np.array([joint]))[:, 0])
             return tuple((-each, 0.0 * each, 0.0 * each) for each in behind.T)
-        key = ("slow torque", joint, self.robot.fingerprint, self._pose, self.links.tobytes(), self._physical)
+        key = ("slow torque", joint, self._key_without(families.PlayEffect))
         behind = lean(self.segment.joints.get(key, lambda: self._recorded.slow_torque(joint)))
         moved = self._recorded.fitting.smoothed(behind)
         return tuple((-moved[0][:, k], -moved[1][:, k], -moved[2][:, k]) for k in range(behind.shape[1]))
@@ -289,10 +287,9 @@ class Model:
             ("fitting", segment.bandwidth), lambda: Fitting.of(times, read, segment.bandwidth, segment.times)
         )
         motors = at.joint_motion_of_motors
-        others = tuple(t for t in self._physical if families.PlayEffect not in type(t.effect).__mro__)
 
         def inertia(joint: int) -> np.ndarray:
-            key = ("inertia", joint, self.robot.fingerprint, self._pose, self.links.tobytes(), others)
+            key = ("inertia", joint, self._key_without(families.PlayEffect))
             return segment.joints.get(key, lambda: own_inertia(at.link_torque, motors[0], joint))
 
         return Recorded(at._at_joints(read - self._encoder_shift), motors, at.link_torque, inertia, fitting)

@@ -89,8 +89,7 @@ def mount_motion(
         # mount like a hammer: they come in gradually.
         share = np.clip((segment.times - segment.times[0]) * segment.bandwidth / _LOOSE, 0.0, 1.0)[:, None]
         rise = share * share * (3.0 - 2.0 * share)
-    drive = load.moving
-    drive = _clear(segment, held + rise * (drive - held))
+    drive = _clear(segment, held + rise * (load.moving - held))
     root = np.zeros((0, 18))
     for _ in range(_PASSES):
         if segment.still:

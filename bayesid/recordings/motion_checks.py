@@ -286,7 +286,7 @@ def _speeds(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
 def _moving(table: Table, share: float) -> np.ndarray:
     """Return (N,): whether any joint moves faster than this share of its usual top speed."""
     speeds = _speeds(table.times, table.positions)  # (n, N)
-    return (speeds > np.maximum(share * np.quantile(speeds, 0.95, axis=1, keepdims=True), 1e-12)).any(axis=0)
+    return np.any(speeds > np.maximum(share * np.quantile(speeds, 0.95, axis=1, keepdims=True), 1e-12), axis=0)
 
 
 def _stalled(table: Table) -> np.ndarray:
