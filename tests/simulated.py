@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from bayesid.dynamics.channels import torque_channels, wrench_channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.table import Table
 from bayesid.robot.robot import Robot, load_robot
@@ -51,9 +51,9 @@ def recording(
     wrench = None
     if sensor is not None:
         channels = wrench_channels(robot, Rotation.from_euler("xyz", sensor.rpy).as_matrix(), sensor.translation)
-        wrench = dynamics_regressor(robot, channels, q, v, a) @ phi + channels.static_wrench + offset
+        wrench = Kernel.of(robot, channels).dynamics(q, v, a) @ phi + channels.static_wrench + offset
         wrench = wrench + rng.normal(size=wrench.shape) * np.repeat([force_std, torque_std], 3)
-    torques = dynamics_regressor(robot, torque_channels(robot), q, v, a) @ phi
+    torques = Kernel.of(robot, torque_channels(robot)).dynamics(q, v, a) @ phi
     torques = torques + torque_std * rng.normal(size=torques.shape)
     return Table(times=times, positions=rounded, wrench=wrench, torques=torques)
 

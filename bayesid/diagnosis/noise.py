@@ -12,7 +12,7 @@ from bayesid.diagnosis.data import WHITE, DiagnosisData
 from bayesid.diagnosis.encoders import Encoders, encoder_count, with_noise
 from bayesid.diagnosis.noise_spectrum import measure
 from bayesid.diagnosis.spectra import SpectralSegment, low_passed, sensor_noise
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.effects import MotionSegment, Term, columns
 from bayesid.effects.loads import Tether
 from bayesid.recordings.table import usual_step
@@ -131,7 +131,7 @@ def pose_noise(data: DiagnosisData) -> np.ndarray:
         return stated
     every = [*data.segments, *data.unseen]
     q, read = (np.concatenate([getattr(s, name) for s in every]) for name in ("encoders", "readings"))
-    rigid = dynamics_regressor(data.robot, data.channels, q, 0.0 * q, 0.0 * q)
+    rigid = Kernel.of(data.robot, data.channels).dynamics(q, 0.0 * q, 0.0 * q)
     beside = np.column_stack([rigid @ data.robot.nominal.ravel(), np.ones(len(q))])
     elapsed = np.concatenate([s.trajectory.elapsed for s in every])
     drift, pulls = elapsed - elapsed.mean(), _pulls(data, every)

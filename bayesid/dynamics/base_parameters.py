@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.dynamics.channels import Channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
 
@@ -97,7 +97,7 @@ def structural_base(
     if held is not None:
         still = np.isfinite(held)
         q[:, still], v[:, still], a[:, still] = held[still], 0.0, 0.0
-    rows = dynamics_regressor(robot, channels, q, v, a, gravity=gravity)
+    rows = Kernel.of(robot, channels).dynamics(q, v, a, gravity=gravity)
     wrench = [c for c, name in enumerate(channels.names) if not name.startswith("tau")]
     constants = np.zeros((count, len(channels), len(wrench) if offset else 0))
     for k, c in enumerate(wrench[: constants.shape[2]]):

@@ -7,7 +7,7 @@ from all bodies' ten parameters phi to their spatial momentum and weight about o
     y = d/dt (P phi) - Q phi,   P = S' H,   Q = dS/dt' H + S' G
 
 so P needs positions and velocities only; its time derivative is left to the filter (`bayesid.signals.filters`), which
-is equation 14 of [Liu1998]_ for all terms at once. Where accelerations are at hand, `dynamics_regressor` gives
+is equation 14 of [Liu1998]_ for all terms at once. Where accelerations are at hand, `Kernel.dynamics` gives
 ``y = Y phi`` directly. Spatial vectors are (linear; angular).
 """
 
@@ -116,21 +116,6 @@ class Kernel:
 
     def _chain(self, gravity: bool) -> tuple[Any, ...]:
         return *self.tables[:6], self.gravity if gravity else np.zeros(3)
-
-
-def dynamics_regressor(
-    robot: Robot,
-    channels: Channels,
-    positions: np.ndarray,
-    velocities: np.ndarray,
-    accelerations: np.ndarray,
-    columns: np.ndarray | None = None,
-    *,
-    gravity: bool = True,
-    out: np.ndarray | None = None,
-) -> np.ndarray:
-    """`Kernel.dynamics` of a robot and its channels."""
-    return Kernel.of(robot, channels, columns).dynamics(positions, velocities, accelerations, gravity=gravity, out=out)
 
 
 def chain(

@@ -20,7 +20,7 @@ from scipy.interpolate import make_interp_spline
 import bayesid
 from bayesid.dynamics.base_parameters import nearest_links, structural_base
 from bayesid.dynamics.channels import torque_channels
-from bayesid.dynamics.regressors import Kernel, dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.readings import make_channels
@@ -124,19 +124,15 @@ class Setting:
     def torque(self, base_values: np.ndarray) -> np.ndarray:
         """Frictionless joint torques of the verification motion (N, 2)."""
         m = self.motions[1]
-        y = dynamics_regressor(
-            self.setup.robot, torque_channels(self.setup.robot), m.positions, m.velocities, m.accelerations,
-            self.torque_base.independent,
-        )  # fmt: skip
+        kernel = Kernel.of(self.setup.robot, torque_channels(self.setup.robot), self.torque_base.independent)
+        y = kernel.dynamics(m.positions, m.velocities, m.accelerations)
         return y @ base_values
 
     def wrench(self, base_values: np.ndarray) -> np.ndarray:
         """Motion wrench of the verification motion without noise (N, 6)."""
         m = self.motions[1]
-        y = dynamics_regressor(
-            self.setup.robot, self.channels, m.positions, m.velocities, m.accelerations, self.wrench_base.independent,
-            gravity=False,
-        )  # fmt: skip
+        kernel = Kernel.of(self.setup.robot, self.channels, self.wrench_base.independent)
+        y = kernel.dynamics(m.positions, m.velocities, m.accelerations, gravity=False)
         return y @ base_values
 
 

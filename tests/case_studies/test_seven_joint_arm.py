@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bayesid.dynamics.channels import torque_channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.robot import inertia
 
 STUDY = Path(__file__).parents[2] / "case_studies" / "seven_joint_arm"
@@ -58,7 +58,7 @@ def test_the_true_arm_is_the_one_that_is_recorded(arm, tmp_path):
     assert inertia.is_physically_consistent(links).all() and not np.allclose(links, known.robot.nominal)
     q, v, a = np.random.default_rng(0).normal(size=(3, 5, 7))
     model = arm.plant(known.robot, links)
-    expected = dynamics_regressor(known.robot, torque_channels(known.robot), q, v, a) @ links.ravel()
+    expected = Kernel.of(known.robot, torque_channels(known.robot)).dynamics(q, v, a) @ links.ravel()
     torques = arm.true_torques(model, q, v, a)
     np.testing.assert_allclose(torques, expected + arm.FRICTION * v + arm.ROTORS * a, atol=1e-9)
     # Forward dynamics undo it: the arm under this torque accelerates as it should.

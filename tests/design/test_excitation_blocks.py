@@ -54,7 +54,7 @@ def test_poses_tell_more_of_gravity_than_even_ones(result, tmp_path):
     """Eight chosen poses determine everything that poses can, better conditioned than eight evenly spaced ones."""
     from bayesid.dynamics.base_parameters import structural_base
     from bayesid.dynamics.channels import wrench_channels
-    from bayesid.dynamics.regressors import dynamics_regressor
+    from bayesid.dynamics.regressors import Kernel
 
     robot = experiment_of("puma560", tmp_path).robot
     channels = wrench_channels(robot, np.eye(3), np.array([0.0, 0.0, -0.1]))
@@ -64,7 +64,7 @@ def test_poses_tell_more_of_gravity_than_even_ones(result, tmp_path):
 
     def determinant(q):
         still = np.zeros_like(q)
-        rows = dynamics_regressor(robot, channels, q, still, still, base.independent).reshape(-1, base.rank)
+        rows = Kernel.of(robot, channels, base.independent).dynamics(q, still, still).reshape(-1, base.rank)
         return np.linalg.slogdet(rows.T @ rows)
 
     assert determinant(poses)[0] == 1.0 and determinant(poses)[1] > determinant(even)[1]

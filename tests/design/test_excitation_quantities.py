@@ -10,7 +10,7 @@ from bayesid.design.excitation.information import typical_sizes
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
 from bayesid.dynamics.channels import torque_channels, wrench_channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from tests.design.test_excitation import QUICK, experiment_of
 
 
@@ -18,7 +18,7 @@ def wrench_rows(robot, motion, columns=None):
     """Whitened rows of the sensor 0.1 m under the base, (N 6, p), and columns of its offset."""
     channels = wrench_channels(robot, np.eye(3), np.array([0.0, 0.0, -0.1]))
     std = np.repeat([0.5, 0.05], 3)
-    rows = dynamics_regressor(robot, channels, *motion, columns) / std[None, :, None]
+    rows = Kernel.of(robot, channels, columns).dynamics(*motion) / std[None, :, None]
     offset = np.tile(np.diag(1.0 / std), (len(motion[0]), 1))
     return rows.reshape(-1, rows.shape[2]), offset
 
@@ -41,7 +41,7 @@ def test_deviation_of_torques_is_that_of_dense_algebra(tmp_path):
     seen = values > 1e-9 * values[-1]
     assert seen.sum() == task.information.base.rank
     root = typical_sizes(robot)[:, None] * vectors[:, seen] / np.sqrt(values[seen])
-    torque = dynamics_regressor(robot, torque_channels(robot), other.positions, other.velocities, other.accelerations)
+    torque = Kernel.of(robot, torque_channels(robot)).dynamics(other.positions, other.velocities, other.accelerations)
     expected = np.sqrt(np.sum((torque.reshape(-1, root.shape[0]) @ root) ** 2) / (6 * len(other.times)))
     # Averages are over samples, torques of one sample added up; the root mean square of one torque is 1 / sqrt(6) of it.
     assert task.quantity_stds(series)[0] == pytest.approx(expected, rel=0.02)

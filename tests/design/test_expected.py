@@ -8,7 +8,7 @@ import pytest
 from bayesid import estimators
 from bayesid.design.expected import expect, expected_factors, rows_of
 from bayesid.design.reading_noise import SENSOR_SETS, recorded_noise, white_noise
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
@@ -48,7 +48,7 @@ def test_the_factor_is_that_of_every_sample(tmp_path):
         ends = model.margin
         inside = (motion.times >= ends) & (motion.times <= motion.times[-1] - ends)
         state = (motion.positions[inside], motion.velocities[inside], motion.accelerations[inside])
-        x = dynamics_regressor(bare.robot, model.channels, *state, expected.base.independent)
+        x = Kernel.of(bare.robot, model.channels, expected.base.independent).dynamics(*state)
         wrench = [0.3, 0.7, 0.7, 0.05, 0.05, 0.05]
         torque = [2.0, 5.0, 2.0, 2.0, 2.0, 2.0]
         std = {"wrench": wrench, "torque": torque, "both": wrench + torque}[sensor_set.channel]

@@ -5,7 +5,7 @@ import pytest
 
 import bayesid
 from bayesid.dynamics.channels import torque_channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.simulation.trajectories import fourier_trajectory
 from tests.simulated import experiment, puma2
 
@@ -21,7 +21,7 @@ def friction_case(folder, std):
     found = bayesid.identifiability(setup, motion, noise={"torque": std}, tell=specs)
     inside = slice(40, -40)  # ends that rows leave out do not matter at 2 %
     q, v, a = (x[inside] for x in (motion.positions, motion.velocities, motion.accelerations))
-    x = dynamics_regressor(robot, torque_channels(robot), q, v, a).reshape(-1, 20)
+    x = Kernel.of(robot, torque_channels(robot)).dynamics(q, v, a).reshape(-1, 20)
     x = np.linalg.svd(x, full_matrices=False)[0][:, :8]
     columns = {}
     for name, values in (("viscous_friction", v[:, 1]), ("coulomb_friction", np.sign(v[:, 1]))):

@@ -16,7 +16,7 @@ from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.spectra import sensor_noise, taper
 from bayesid.dynamics.channels import torque_channels, wrench_channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.table import Table
 from bayesid.signals import repeats
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2
@@ -53,7 +53,7 @@ def recorded(robot, motion, law, seed: int, *, delay: float = 0.0, resolution: f
     """A wrench and rounded positions."""
     times, q, v, a = motion
     channels = wrench_channels(robot, np.eye(3), SENSOR.translation)
-    wrench = dynamics_regressor(robot, channels, q, v, a) @ robot.nominal.ravel() + channels.static_wrench
+    wrench = Kernel.of(robot, channels).dynamics(q, v, a) @ robot.nominal.ravel() + channels.static_wrench
     late = np.stack([np.interp(times - delay, times, w) for w in wrench.T], axis=1) if delay else wrench
     read = np.round(q / resolution) * resolution
     return Table(times=times, positions=read, wrench=late + noise(late.shape, law, seed))
@@ -233,7 +233,7 @@ def test_a_rest_of_a_drive_is_no_reason_to_distrust_white_noise(robot):
     motion = parked(robot, 6, 6.0)
     times, q, v, a = motion
     still = np.all(v == 0, axis=1)
-    torque = dynamics_regressor(robot, torque_channels(robot), q, v, a) @ robot.nominal.ravel()
+    torque = Kernel.of(robot, torque_channels(robot)).dynamics(q, v, a) @ robot.nominal.ravel()
     rng = np.random.default_rng(2)
     torque += 0.05 * rng.normal(size=torque.shape)
     torque[still] += np.cumsum(0.05 * rng.normal(size=torque.shape), axis=0)[still]

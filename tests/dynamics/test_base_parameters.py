@@ -3,7 +3,7 @@ import pytest
 
 from bayesid.dynamics.base_parameters import regroup, structural_base
 from bayesid.dynamics.channels import torque_channels, wrench_channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.robot.robot import load_robot
 from tests.example_robots import PAPER_LABELS, paper_base_map
 from tests.robots import lwr4, panda, prismatic_arm, tree, ur5, ur10, wrist_sensor_arm, write
@@ -55,9 +55,9 @@ def test_kept_columns_times_base_parameters_are_the_whole_regressor(text, sensor
     base = structural_base(robot, channels, gravity=gravity)
     rng = np.random.default_rng(1)
     q, v, a = rng.normal(size=(3, 40, robot.n))
-    whole = dynamics_regressor(robot, channels, q, v, a, gravity=gravity)
+    whole = Kernel.of(robot, channels).dynamics(q, v, a, gravity=gravity)
     phi = robot.nominal.ravel() * rng.uniform(0.5, 1.5, robot.nominal.size)
-    kept = dynamics_regressor(robot, channels, q, v, a, base.independent, gravity=gravity)
+    kept = Kernel.of(robot, channels, base.independent).dynamics(q, v, a, gravity=gravity)
     np.testing.assert_allclose(kept @ (base.matrix @ phi), whole @ phi, atol=1e-7 * np.abs(whole @ phi).max())
     assert np.linalg.matrix_rank(whole.reshape(-1, whole.shape[2]), tol=1e-6) == base.rank
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from bayesid.dynamics.channels import torque_channels, wrench_channels
-from bayesid.dynamics.regressors import Kernel, dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.robot.robot import load_robot
 from tests.robots import ROBOTS, write
 
@@ -69,7 +69,7 @@ def in_sensor(wrench, rotation, translation):
 
 
 def reading(robot, channels, q, v, a, gravity=True):
-    y = dynamics_regressor(robot, channels, q, v, a, gravity=gravity) @ robot.nominal.ravel()
+    y = Kernel.of(robot, channels).dynamics(q, v, a, gravity=gravity) @ robot.nominal.ravel()
     return y + channels.static_wrench * gravity
 
 
@@ -163,7 +163,7 @@ def test_momentum_form_is_the_dynamics_form(path, sensor, gravity):
         # Central difference of fourth order; its error is near 1e-9.
         rate = 8 * (momentum(channels, h) - momentum(channels, -h)) - momentum(channels, 2 * h) + momentum(channels, -2 * h)
         _, rest = Kernel.of(robot, channels).momentum(q, v, gravity=gravity)
-        assert_equal(rate / (12 * h) - rest, dynamics_regressor(robot, channels, q, v, a, gravity=gravity), 1e-7)
+        assert_equal(rate / (12 * h) - rest, Kernel.of(robot, channels).dynamics(q, v, a, gravity=gravity), 1e-7)
 
 
 def test_column_subsets_and_reused_output(path):
@@ -171,12 +171,12 @@ def test_column_subsets_and_reused_output(path):
     q, v, a = trajectory(robot.n, 37)
     rng = np.random.default_rng(5)
     for channels in channels_of(robot):
-        full = dynamics_regressor(robot, channels, q, v, a)
+        full = Kernel.of(robot, channels).dynamics(q, v, a)
         full_momentum = Kernel.of(robot, channels).momentum(q, v)
         everything = np.arange(full.shape[2])
         for columns in (everything[::3], rng.permutation(everything)[:13], np.array([7]), everything[:0]):
             out = np.full((*full.shape[:2], len(columns)), np.nan)
-            assert dynamics_regressor(robot, channels, q, v, a, columns, out=out) is out
+            assert Kernel.of(robot, channels, columns).dynamics(q, v, a, out=out) is out
             np.testing.assert_array_equal(out, full[:, :, columns])
             for part, whole in zip(Kernel.of(robot, channels, columns).momentum(q, v), full_momentum, strict=True):
                 np.testing.assert_array_equal(part, whole[:, :, columns])
@@ -198,8 +198,8 @@ def test_samples_do_not_influence_each_other(samples, tmp_path):
     robot = load_robot(write(tmp_path, ROBOTS["tree"]()))
     q, v, a = trajectory(robot.n, 40)
     for channels in channels_of(robot):
-        whole = dynamics_regressor(robot, channels, q, v, a)
-        part = dynamics_regressor(robot, channels, q[:samples], v[:samples], a[:samples])
+        whole = Kernel.of(robot, channels).dynamics(q, v, a)
+        part = Kernel.of(robot, channels).dynamics(q[:samples], v[:samples], a[:samples])
         np.testing.assert_array_equal(part, whole[:samples])
 
 

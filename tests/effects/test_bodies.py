@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 from bayesid.dynamics.channels import torque_channels, wrench_channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.effects import MotionSegment, readings, rigid_columns
 from bayesid.effects.bodies import InertiaError, Payload
 from bayesid.robot import inertia
@@ -18,13 +18,12 @@ def test_without_effects_they_are_the_rigid_model(tmp_path, name):
     rng = np.random.default_rng(1)
     segment = MotionSegment(np.arange(50.0), *rng.normal(size=(3, 50, robot.n)))
     for channels in (wrench_channels(robot, TURN, SHIFT), torque_channels(robot), both(robot)):
-        regressor = dynamics_regressor(robot, channels, segment.positions, segment.velocities, segment.accelerations)
+        kernel, motion = Kernel.of(robot, channels), (segment.positions, segment.velocities, segment.accelerations)
+        regressor = kernel.dynamics(*motion)
         expected = regressor @ robot.nominal.ravel() + channels.static_wrench
         np.testing.assert_allclose(readings(robot, channels, segment, robot.nominal), expected, atol=1e-11)
         np.testing.assert_allclose(rigid_columns(robot, channels, segment, robot.nominal), regressor, atol=1e-11)
-        lifted = dynamics_regressor(
-            robot, channels, segment.positions, segment.velocities, segment.accelerations, gravity=False
-        ) @ robot.nominal.ravel()  # fmt: skip
+        lifted = kernel.dynamics(*motion, gravity=False) @ robot.nominal.ravel()
         np.testing.assert_allclose(readings(robot, channels, segment, robot.nominal, gravity=False), lifted, atol=1e-11)
 
 

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 import bayesid
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.experiment import load_setup
 from bayesid.regression.readings import make_channels
 from bayesid.report.check import check_report
@@ -75,7 +75,7 @@ def write_physical(folder: Path) -> Path:
         if name == "static.csv":
             frame = frame.drop(columns=["v1", "v2"])
             motion = motion[0], 0.0 * motion[1], 0.0 * motion[2]
-        wrench = dynamics_regressor(experiment.robot, channels, *motion) @ experiment.robot.nominal.ravel()
+        wrench = Kernel.of(experiment.robot, channels).dynamics(*motion) @ experiment.robot.nominal.ravel()
         frame[list(WRENCH)] = wrench + channels.static_wrench + np.repeat([0.3, 0.03], 3) * rng.normal(size=wrench.shape)
         frame.to_csv(folder / name, index=False)
     return folder

@@ -12,7 +12,7 @@ import pytest
 
 import bayesid
 from bayesid.dynamics.channels import torque_channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.robot_section import with_stated_effects
 from bayesid.results.export.simulators import mjcf
 from bayesid.robot.mjcf import read_mjcf
@@ -84,7 +84,7 @@ def test_an_odd_robot_has_mujocos_torques(tmp_path):
     np.testing.assert_allclose(robot.lower, [-np.radians(170), -np.inf, -np.inf, -0.2])
     np.testing.assert_allclose(robot.effort_limit, [np.inf] * 3 + [9.0])
     x = states(4)
-    regressor = dynamics_regressor(robot, torque_channels(robot), *x)
+    regressor = Kernel.of(robot, torque_channels(robot)).dynamics(*x)
     np.testing.assert_allclose(regressor @ robot.nominal.ravel(), rigid_torques(model, *x), atol=1e-9)
     # The welded plate is in the link that carries it, the pedestal under the whole robot.
     assert robot.nominal[0, 0] == pytest.approx(model.body("shoulder").mass[0] + model.body("tool_plate").mass[0])
@@ -107,8 +107,8 @@ def test_a_robot_comes_back_from_its_export(name, tmp_path):
     text = mjcf(robot, {}, robot.nominal.ravel(), JointDynamics({}))
     back = load_robot(written(tmp_path, text, "back.xml"), robot.joint_names)
     x = states(robot.n)
-    expected = dynamics_regressor(robot, torque_channels(robot), *x) @ robot.nominal.ravel()
-    there = dynamics_regressor(back, torque_channels(back), *x) @ back.nominal.ravel()
+    expected = Kernel.of(robot, torque_channels(robot)).dynamics(*x) @ robot.nominal.ravel()
+    there = Kernel.of(back, torque_channels(back)).dynamics(*x) @ back.nominal.ravel()
     np.testing.assert_allclose(there, expected, atol=1e-9 * np.abs(expected).max())
     limits = [np.nan_to_num(r.lower, neginf=-9.0) for r in (robot, back)]
     np.testing.assert_allclose(limits[0], limits[1])

@@ -24,7 +24,7 @@ import numpy as np
 from bayesid import estimators
 from bayesid.dynamics.base_parameters import BaseParameters, structural_base
 from bayesid.dynamics.channels import Channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
@@ -136,7 +136,7 @@ def record(case: Setup, rng: np.random.Generator) -> Experiment:
     constant = channels.static_wrench + OFFSET * rng.uniform(-1.0, 1.0, 6)
 
     def reading(v, a):
-        exact = dynamics_regressor(case.robot, channels, q, v, a) @ case.truth
+        exact = Kernel.of(case.robot, channels).dynamics(q, v, a) @ case.truth
         return exact + constant + NOISE * rng.normal(size=exact.shape)
 
     counts = RESOLUTION * np.round(q / RESOLUTION)
@@ -222,7 +222,7 @@ def bound(name: str) -> Bound:
     constant = np.broadcast_to(np.eye(6), (len(times), 6, 6))
 
     def rows(state, columns, gravity, offset):
-        matrix = dynamics_regressor(case.robot, channels, *state, columns.independent, gravity=gravity)
+        matrix = Kernel.of(case.robot, channels, columns.independent).dynamics(*state, gravity=gravity)
         return (np.concatenate([matrix, constant], axis=2) if offset else matrix) / NOISE[:, None]
 
     def std(information, combine):
@@ -233,7 +233,7 @@ def bound(name: str) -> Bound:
     information = x.T @ x
 
     def wrench(state):
-        return dynamics_regressor(case.robot, channels, *state, gravity=moving) @ case.truth / NOISE / np.sqrt(readings)
+        return Kernel.of(case.robot, channels).dynamics(*state, gravity=moving) @ case.truth / NOISE / np.sqrt(readings)
 
     rate = 2 * np.pi * FUNDAMENTAL * np.arange(1, HARMONICS + 1)
     sine, cosine = np.sin(np.outer(times, rate)), np.cos(np.outer(times, rate))

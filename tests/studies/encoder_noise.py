@@ -17,7 +17,7 @@ from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
 from bayesid import estimators
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
@@ -64,7 +64,7 @@ def record(case: Setup, rng: np.random.Generator) -> dict[str, Experiment]:
     constant = channels.static_wrench + OFFSET * rng.uniform(-1.0, 1.0, 6)
 
     def reading(v, a):
-        exact = dynamics_regressor(case.robot, channels, q, v, a) @ case.truth
+        exact = Kernel.of(case.robot, channels).dynamics(q, v, a) @ case.truth
         return exact + constant + NOISE * rng.normal(size=exact.shape)
 
     # A static run's encoders are read anew; only the moving ones are used.

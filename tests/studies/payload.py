@@ -22,7 +22,7 @@ import pinocchio as pin
 import bayesid
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.dynamics.channels import WRENCH_NAMES, wrench_channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot import inertia
 from bayesid.simulation.trajectories import Trajectory
@@ -150,7 +150,7 @@ def size_of(spec, values, setup, links, path, recorder) -> float:
         for e in ({spec: values}, {})
     )
     channels = wrench_channels(setup.robot, np.eye(3), np.zeros(3))
-    columns = dynamics_regressor(setup.robot, channels, path.positions, path.velocities, path.accelerations)[:, :, 60:70]
+    columns = Kernel.of(setup.robot, channels).dynamics(path.positions, path.velocities, path.accelerations)[:, :, 60:70]
     columns = np.concatenate([columns, np.tile(np.eye(6), (len(columns), 1, 1))], axis=2)
     weight = 1.0 / np.repeat([recorder.force_std, recorder.torque_std], 3)
     x = (columns * weight[:, None]).reshape(-1, 16)

@@ -30,7 +30,7 @@ from threadpoolctl import threadpool_limits
 import bayesid
 from bayesid.dynamics.base_parameters import BaseParameters, structural_base
 from bayesid.dynamics.channels import torque_channels, wrench_channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.posterior.likelihood import DofPrior, Likelihood, ScalePrior
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.run import choose_engine
@@ -113,7 +113,7 @@ def setup(name: str) -> Setup:
     torque, wrench = torque_channels(robot), wrench_channels(robot, np.eye(3), np.zeros(3))
     channels = torque if case.channel == "torque" else wrench
     base = structural_base(robot, channels, offset=case.channel == "wrench")
-    rigid = dynamics_regressor(robot, channels, q, v, a)[:, :, base.independent]
+    rigid = Kernel.of(robot, channels).dynamics(q, v, a)[:, :, base.independent]
     std = np.full(len(channels), 0.3) if case.channel == "torque" else np.repeat([1.0, 0.3], 3)
     if case.channel == "torque":
         n = robot.n
@@ -126,7 +126,7 @@ def setup(name: str) -> Setup:
         effects = np.broadcast_to(np.diag(std), (INSTANTS, 6, 6))
         names, size = tuple(f"offset {c}" for c in channels.names), OFFSET
     rows = np.concatenate([rigid, effects], axis=2) / std[:, None]
-    move = dynamics_regressor(robot, torque, *(rng.normal(size=(3, 20, robot.n)))).reshape(-1, robot.nominal.size)
+    move = Kernel.of(robot, torque).dynamics(*(rng.normal(size=(3, 20, robot.n)))).reshape(-1, robot.nominal.size)
     return Setup(
         case, base, rows, replace(Prior.nominal(robot.nominal, case.trust), physical=case.engine == "hmc"), names,
         np.full(len(names), case.channel == "torque"), np.full(len(names), size), move,

@@ -12,7 +12,7 @@ import bayesid
 from bayesid.cli import main
 from bayesid.design.bounds.knowledge import WIDE
 from bayesid.dynamics.channels import torque_channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
 from bayesid.robot import inertia
 from bayesid.simulation.simulation import perturbed_links
@@ -65,7 +65,7 @@ def test_bounds_of_an_estimate_hold_the_truth(arm, identified):
     assert not region.prior_driven.any() and region.draws is None
     _, q, v, a = fourier(robot, 9, duration=2.0)
     found = identified.torque(q, v, a)
-    torques = dynamics_regressor(robot, torque_channels(robot), q, v, a) @ truth
+    torques = Kernel.of(robot, torque_channels(robot)).dynamics(q, v, a) @ truth
     assert np.all((torques >= found.low) & (torques <= found.high))
     np.testing.assert_allclose(identified.torque(q[0], v[0], a[0]).values, found.values[:1])
     wrench = identified.wrench(q, v, a)
@@ -150,7 +150,7 @@ def test_files_hold_what_was_found(arm, runs, tmp_path):
     basis, factor = arrays["basis"], arrays["V_basis_factor"]
     np.testing.assert_allclose(basis @ factor @ factor.T @ basis.T, result.covariance, rtol=1e-6, atol=1e-12)
     np.testing.assert_array_equal(arrays["b_hat"], result.values)
-    columns = dynamics_regressor(arm[0].robot, torque_channels(arm[0].robot), *np.ones((3, 1, 2)))
+    columns = Kernel.of(arm[0].robot, torque_channels(arm[0].robot)).dynamics(*np.ones((3, 1, 2)))
     np.testing.assert_allclose(
         columns[0][:, np.asarray(arrays["base_columns"]) - 1] @ arrays["b_hat"], result.torque(*np.ones((3, 1, 2))).values[0]
     )

@@ -23,7 +23,7 @@ from scipy.stats import norm
 import bayesid
 from bayesid.cli import main
 from bayesid.dynamics.channels import torque_channels
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.effects import EffectLibrary, JointMotion
 from bayesid.effects.segment import direction
 from bayesid.results.export.inverse_dynamics import LAWS, JointLaw, cpp_header, inverse_dynamics, numpy_module
@@ -342,7 +342,7 @@ def test_every_robot_becomes_an_mjcf_with_pinocchios_mass_matrix(name, tmp_path)
 
 
 def inverse_of_nominal(robot, q, v, a):
-    return dynamics_regressor(robot, torque_channels(robot), q, v, a) @ robot.nominal.ravel()
+    return Kernel.of(robot, torque_channels(robot)).dynamics(q, v, a) @ robot.nominal.ravel()
 
 
 class SdfReader:
@@ -547,7 +547,7 @@ def test_code_from_a_base_sensor_gives_the_links_torques(form, tmp_path):
     exported = bayesid.export(result, form)
     x = states(made.robot)
     torque, half = RUN[form](tmp_path, exported[FILE[form]], x)
-    matrix = dynamics_regressor(made.robot, torque_channels(made.robot), *x)
+    matrix = Kernel.of(made.robot, torque_channels(made.robot)).dynamics(*x)
     through = matrix @ np.linalg.pinv(result.base.matrix)  # torques are combinations of what the wrench shows
     np.testing.assert_allclose(torque, through @ result.values, atol=1e-6 * np.abs(torque).max())
     std = np.sqrt(np.einsum("ncp,pq,ncq->nc", through, result.covariance, through))

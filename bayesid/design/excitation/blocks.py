@@ -21,7 +21,7 @@ from bayesid.design.excitation.limits import Limits
 from bayesid.design.excitation.plan import Plan
 from bayesid.design.excitation.series import FourierSeries
 from bayesid.dynamics.base_parameters import structural_base
-from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
 from bayesid.simulation.trajectories import Trajectory
 
@@ -143,7 +143,7 @@ def _poses(plan: Plan) -> list[Trajectory]:
     if not len(candidates):
         return []
     base = structural_base(robot, channels, at_rest=True)
-    rows = dynamics_regressor(robot, channels, candidates, rest, rest, base.independent)
+    rows = Kernel.of(robot, channels, base.independent).dynamics(candidates, rest, rest)
     rows = rows / np.maximum(np.sqrt(np.mean(rows**2, axis=(0, 1))), 1e-12)
     information, chosen = 1e-6 * np.eye(base.rank), []
     for _ in range(min(POSES, len(candidates))):

@@ -44,7 +44,7 @@ from bayesid.design.reading_noise import ReadingNoise, SensorSet
 from bayesid.dynamics.base_parameters import BaseParameters, regroup, structural_base
 from bayesid.dynamics.channels import Channels, torque_channels
 from bayesid.dynamics.regressor_gradient import regressor_gradient
-from bayesid.dynamics.regressors import Kernel, dynamics_regressor
+from bayesid.dynamics.regressors import Kernel
 from bayesid.effects import Effect, MotionSegment
 from bayesid.effects.families import JointTorqueEffect
 from bayesid.effects.sizes import reach
@@ -324,7 +324,7 @@ def _torque(text: str, file: str, experiment: Experiment, information: Informati
     channels = torque_channels(robot)
     stride = max(len(motion.times) // _STATES, 1)
     states = (x[::stride] for x in (motion.positions, motion.velocities, motion.accelerations))
-    whole = dynamics_regressor(robot, channels, *states).reshape(-1, 10 * len(robot.body_names))
+    whole = Kernel.of(robot, channels).dynamics(*states).reshape(-1, 10 * len(robot.body_names))
     functions = whole[:, base.independent]
     if np.abs(whole - functions @ base.matrix).max() > _OUTSIDE * np.abs(whole).max():
         reading = information.sensor_set.title
@@ -347,7 +347,7 @@ def _payload(text: str, where: str, experiment: Experiment, information: Informa
     offset = sensor_set.offset == "fitted"
     rng = np.random.default_rng(0)
     q, v, a = rng.normal(0.0, [[[1.0]], [[1.0]], [[4.0]]], (3, 60, robot.n))
-    rows = dynamics_regressor(robot, channels, q, v, a, own, gravity=sensor_set.gravity)
+    rows = Kernel.of(robot, channels, own).dynamics(q, v, a, gravity=sensor_set.gravity)
     constant = np.zeros((60, len(channels), 6 if offset else 0))
     for c, name in enumerate(channels.names):
         if offset and not name.startswith("tau"):
