@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -194,26 +194,6 @@ def _(result: Changes) -> Figures:
 _HEIGHT, _TOP, _BOTTOM = 150.0, 26.0, 46.0
 
 
-def sizes(series: Sequence[tuple[str, np.ndarray, np.ndarray]], count: int, title: str) -> Markup:
-    """Sizes of the changes named, with half their 95 % intervals, nan where not named, recording by recording (count,)."""
-    ends = np.concatenate([v + s * np.nan_to_num(h) for _, v, h in series for s in (-1.0, 1.0)])
-    low, high = min(0.0, float(np.nanmin(ends))), max(0.0, float(np.nanmax(ends)))
-    room = 0.08 * (high - low or 1.0)
-    panel = Panel(56.0, _TOP, WIDTH - 76.0, _HEIGHT, (0.5, count + 0.5), (low - room * (low < 0.0), high + room))
-    parts, at = [panel.frame(title, "recording", whole=True)], panel.left
-    x = np.arange(1.0, count + 1.0)
-    for k, (name, value, half) in enumerate(series):
-        colour = CYCLE[k % len(CYCLE)]
-        for place, v, h in zip(x, value, half, strict=True):
-            if np.isfinite(v) and np.isfinite(h):
-                parts.append(panel.curve(np.array([place, place]), np.array([v - h, v + h]), colour))
-        seen = np.isfinite(value)
-        parts.append(panel.dots(x[seen], value[seen], colour, 3.0))
-        parts.append(write(at, _TOP + _HEIGHT + _BOTTOM + 6.0, f"● {name}", 9.0, colour))
-        at += text_width(name) + 28.0
-    return chart(_TOP + _HEIGHT + _BOTTOM + 16.0, parts)
-
-
 @report_of.register
 def watch_report(result: Watch) -> str:
     """The report of ``watch``: HTML with all figures inside."""
@@ -269,21 +249,35 @@ def _course(result: Watch, values: Sequence[float], title: str, needed: float | 
     return figure
 
 
-def _sizes(result: Watch) -> list:
-    """One picture for each unit of the changes' first parameters."""
-    units: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
+def _sizes(result: Watch) -> list[Markup]:
+    """Sizes of the changes named, recording by recording, with their 95 % intervals: a picture for each unit."""
+    units: dict[str, dict[str, np.ndarray]] = {}
     count = len(result.recordings)
     for k, w in enumerate(result.recordings):
         for x in w.changes:
             v = x.values[0]
-            value, half = units.setdefault(v.unit, {}).setdefault(
-                f"{x.change.spec} {v.name}", (np.full(count, np.nan), np.full(count, np.nan))
-            )
-            value[k], half[k] = v.value, HALF * v.std
-    return [
-        sizes([(name, *both) for name, both in mine.items()], count, f"Size of the changes named [{unit}]")
-        for unit, mine in units.items()
-    ]
+            both = units.setdefault(v.unit, {}).setdefault(f"{x.change.spec} {v.name}", np.full((2, count), np.nan))
+            both[:, k] = v.value, HALF * v.std
+    return [_size_chart(series, count, f"Size of the changes named [{unit}]") for unit, series in units.items()]
+
+
+def _size_chart(series: Mapping[str, np.ndarray], count: int, title: str) -> Markup:
+    """Values and half their intervals (2, count) by name, nan where not named."""
+    ends = np.concatenate([v + s * np.nan_to_num(h) for v, h in series.values() for s in (-1.0, 1.0)])
+    low, high = min(0.0, float(np.nanmin(ends))), max(0.0, float(np.nanmax(ends)))
+    room = 0.08 * (high - low or 1.0)
+    panel = Panel(56.0, _TOP, WIDTH - 76.0, _HEIGHT, (0.5, count + 0.5), (low - room * (low < 0.0), high + room))
+    parts, at = [panel.frame(title, "recording", whole=True)], panel.left
+    x = np.arange(1.0, count + 1.0)
+    for k, (name, (value, half)) in enumerate(series.items()):
+        colour, seen = CYCLE[k % len(CYCLE)], np.isfinite(value)
+        for place, v, h in zip(x[seen], value[seen], half[seen], strict=True):
+            if np.isfinite(h):
+                parts.append(panel.curve(np.array([place, place]), np.array([v - h, v + h]), colour))
+        parts.append(panel.dots(x[seen], value[seen], colour, 3.0))
+        parts.append(write(at, _TOP + _HEIGHT + _BOTTOM + 6.0, f"● {name}", 9.0, colour))
+        at += text_width(name) + 28.0
+    return chart(_TOP + _HEIGHT + _BOTTOM + 16.0, parts)
 
 
 @figures_of.register

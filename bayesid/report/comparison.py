@@ -34,7 +34,8 @@ from bayesid.results.loaded import LoadedComparison
 from bayesid.rounding import DASH, chance, channel_text, number, percent
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable
 from bayesid.validation.agreement import HausmanTest
-from bayesid.validation.prediction import BAND, judged
+from bayesid.validation.headline import judged
+from bayesid.validation.prediction import BAND
 
 #: From so many parameters they stand in two columns.
 _TWO_COLUMNS = 14

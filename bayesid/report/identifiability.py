@@ -22,6 +22,7 @@ from bayesid.results.identifiability import (
     answer,
     counts,
     effect_lines,
+    motions_text,
     own_std,
     pair_table,
     sets_table,
@@ -161,13 +162,10 @@ def identifiability_report(result: Identifiability) -> str:
         how(*_how(result), after="All numbers, the expected covariance of each sensor set too, are in `identifiability.json`."),
     ]  # fmt: skip
     opening = [warnings(result.warnings), lead(answer(result)), cards(_cards(main))]
-    return page(result.name, _kicker(result), opening, sections, f"{result.name}: identifiability")
-
-
-def _kicker(result: Identifiability) -> str:
-    what = {"recorded": "recorded", "planned": "planned", "regression": "given"}[result.source]
-    names = ", ".join(n + (f" ({number(d, 3)} s)" if d else "") for n, d in result.motions.items())
-    return f"What can be determined from the {what} motion{'s' if len(result.motions) > 1 else ''} {names}, before estimating"
+    what = {"regression": "given"}.get(result.source, result.source)
+    motions = f"motion{'s' if len(result.motions) > 1 else ''} {motions_text(result)}"
+    kicker = f"What can be determined from the {what} {motions}, before estimating"
+    return page(result.name, kicker, opening, sections, f"{result.name}: identifiability")
 
 
 def _cards(main: SetReport) -> list[tuple[str, str, str]]:

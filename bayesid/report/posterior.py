@@ -19,9 +19,10 @@ from bayesid.report.page import below, cards, figure, fold, how, lead, page, run
 from bayesid.results.files import report_of
 from bayesid.results.loaded import LoadedPosterior
 from bayesid.results.posterior import ExperimentPosterior
-from bayesid.rounding import DASH, channel_text, number, percent, with_half
+from bayesid.rounding import DASH, channel_text, ends, number, percent, with_half
 from bayesid.section import Html, Part, ShownSection, ShownTable, tag
-from bayesid.validation.prediction import BAND, judged, still_predictable
+from bayesid.validation.headline import judged, still_predictable
+from bayesid.validation.prediction import BAND
 
 _COLUMNS = 6
 _BINS = 36
@@ -141,7 +142,8 @@ _DRIVEN = 0.9
 @report_of.register
 def posterior_report(result: ExperimentPosterior) -> str:
     """The report of ``sample``: an HTML page with all figures inside."""
-    problem, model = result.problem, result.model
+    problem, model, d = result.problem, result.model, result.diagnosis
+    chains = [[d.names[k], f"{d.r_hat[k]:.4f}", f"{d.ess_bulk[k]:.0f}", f"{d.ess_tail[k]:.0f}"] for k in np.argsort(-d.r_hat)]
     prior = ", its prior (orange)" if model.prior is not None else ""
     sections = [
         ShownSection("What the data and the prior say together", [
@@ -165,7 +167,8 @@ def posterior_report(result: ExperimentPosterior) -> str:
             figure(svg(ranks(*_worst(result)), "ranks"),
                    "Ranks of each chain's draws among all draws, for the numbers with the largest R-hat: level and alike where "
                    "chains agree."),
-            _diagnostics(result),
+            fold(f"R-hat and effective sample sizes of all {len(d.names)} numbers",
+                 ShownTable(["parameter", "R-hat", "ESS, bulk", "ESS, tail"], chains, "w n n n")),
         ], "Chains"),
         how(*_how(result), after="All draws are in `posterior.nc`, which ArviZ opens; numbers in `posterior.json`."),
     ]  # fmt: skip
@@ -183,11 +186,6 @@ def marginals_figure(result: Posterior, ax: Any = None) -> Figure:
     pushed = None if prior is None else prior @ result.base.matrix.T
     nominal = result.problem.regression.nominal if isinstance(result, ExperimentPosterior) else None
     return marginals(result.base.short_names, flat, pushed, nominal, ax)
-
-
-def _link_names(names) -> list[str]:
-    bodies = list(dict.fromkeys(n.rpartition(".")[0] for n in names))
-    return [f"{bodies.index(n.rpartition('.')[0]) + 1}.{n.rpartition('.')[2]}" for n in names]
 
 
 def _lead(result: ExperimentPosterior) -> str:
@@ -234,7 +232,7 @@ def _parameters(result: ExperimentPosterior, nominal: np.ndarray | None) -> Show
         share = percent(result.prior_share[k], 2) if result.link_draws is not None else DASH
         known = DASH if nominal is None else number(nominal[k])
         mean, std = with_half(result.values[k], result.std[k])
-        between = _ends(result.low[k], result.high[k])
+        between = ends(result.low[k], result.high[k])
         rows.append([str(k + 1), label, mean, std, result.base.units[k], between, known, share, result.classes[k]])
     head = ["#", "base parameter", "mean", "± std", "unit", "95 % interval", "nominal", "of prior std", "class"]
     return ShownTable(head, rows, "nd w nb n ku n n n t")
@@ -247,7 +245,10 @@ def _narrowed(result: ExperimentPosterior) -> list[ShownSection]:
         return []
     shares = [("base parameters", result.base.short_names, result.prior_share)]
     if result.link_draws is not None:
-        shares.append(("link parameters", _link_names(result.base.parameter_names), result.link_prior_share))
+        parts = [name.rpartition(".") for name in result.base.parameter_names]
+        bodies = list(dict.fromkeys(body for body, _, _ in parts))
+        numbered = tuple(f"{bodies.index(body) + 1}.{kind}" for body, _, kind in parts)
+        shares.append(("link parameters", numbered, result.link_prior_share))
     cut = ", cut to bodies that can exist" if model.physical else ""
     return [ShownSection("What came from the data, and what from the prior", [
         f"Posterior over prior standard deviation. Near zero the data decide; near one (orange) the prior does{cut}. Single "
@@ -280,12 +281,7 @@ def _effects_and_noise(result: ExperimentPosterior) -> list[Part]:
 
 def _summary(name: str, unit: str, draws: np.ndarray) -> list[str]:
     mean, std = with_half(float(draws.mean()), float(draws.std()))
-    return [name, mean, std, unit, _ends(*np.quantile(draws, [0.025, 0.975]))]
-
-
-def _ends(low: float, high: float) -> str:
-    half = 0.5 * (high - low)
-    return f"{with_half(low, half)[0]} … {with_half(high, half)[0]}"
+    return [name, mean, std, unit, ends(*np.quantile(draws, [0.025, 0.975]))]
 
 
 def _predictions(result: ExperimentPosterior) -> list[Part]:
@@ -320,13 +316,6 @@ def _worst(result: ExperimentPosterior) -> tuple[list[str], np.ndarray]:
     names = (*result.model.names, *result.names)
     order = np.argsort(-result.diagnosis.r_hat)[:_RANKED]
     return [names[k] for k in order], every[..., order]
-
-
-def _diagnostics(result: ExperimentPosterior) -> Html:
-    d = result.diagnosis
-    rows = [[d.names[k], f"{d.r_hat[k]:.4f}", f"{d.ess_bulk[k]:.0f}", f"{d.ess_tail[k]:.0f}"] for k in np.argsort(-d.r_hat)]
-    table = ShownTable(["parameter", "R-hat", "ESS, bulk", "ESS, tail"], rows, "w n n n")
-    return fold(f"R-hat and effective sample sizes of all {len(rows)} numbers", table)
 
 
 def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:

@@ -290,9 +290,7 @@ class ControllerBounds(ShownResult):
         """Draw the wrench of a trajectory with its bands; as `plot_torque`."""
         return self._plot("wrench", trajectory, channels, ax)
 
-    def plot(self, *, ax: Any = None) -> Figure:
-        """Draw the torques of the first trajectory; as `plot_torque`."""
-        return self.plot_torque(ax=ax)
+    plot = plot_torque
 
     def _plot(self, channel: str, name: str | None, channels: Sequence[str] | str | None, ax: Any) -> Figure:
         known: Mapping[str, TrajectoryBands] = {t.name: t for t in self.trajectories}

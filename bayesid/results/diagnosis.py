@@ -131,7 +131,7 @@ class Diagnosis(ShownResult):
                 lines.append(f"{motions} hardly depends on what is named, and neither confirms nor denies it")
             elif closed:
                 lines.append(f"gap on {motions}: {closed} closed" + (f", at least {least}" if least else ""))
-        lines += error_lines(self)
+        lines += [error_line(e) for e in shown_errors(self)]
         if self.verdict == "unknown" and self.search.found:
             lines.append(f"best attempt: {', '.join(by_kind(f.term for f in self.search.found))}")
         word = "unexplained" if self.verdict == "nothing_missing" else "stays" if self.part is not None else "disagrees"
@@ -150,7 +150,7 @@ class Diagnosis(ShownResult):
     def _repr_html_(self) -> str:
         """The same for notebooks, values as a table."""
         parts: list[Part] = [f"**{verdict_sentence(self)}** {validation_sentence(self)}"]
-        parts += [f"{line[0].upper()}{line[1:]}." for line in error_lines(self)]
+        parts += [f"E{error_line(e)[1:]}." for e in shown_errors(self)]
         if self.found:
             rows = [row for k in range(len(self.found)) for row in effect_rows(self, k)]
             parts.append(ShownTable(["effect", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n ku"))
@@ -436,13 +436,11 @@ def _share(p: Prediction) -> str:
     return percent(p.relative_error)
 
 
-def error_lines(diagnosis: Diagnosis) -> list[str]:
-    """Errors without and with the effects named, in times the noise, per cent and units: of the motions `shown_errors` names."""
-    return [error_line(e) for e in shown_errors(diagnosis)]
-
-
 def error_line(e: MotionErrors) -> str:
-    """One motion's errors: all channels together, then those that gain most, or of which most is left where nothing is named."""
+    """One motion's errors without and with the effects named, in times the noise, per cent and units.
+
+    All channels together, then those that gain most, or of which most is left where nothing is named.
+    """
     before, after = e.before, e.last
 
     def change(text: Callable[[Prediction], str]) -> str:
@@ -547,14 +545,11 @@ def share_range(diagnosis: Diagnosis, index: int) -> str:
     return f"{percent(max(found[0], 0.0))} of the gap" + (f" (at least {percent(found[1])})" if found[1] > 0.0 else "")
 
 
-def share_text(share: float) -> str:
-    """A share of a gap as per cent; rounded down near the whole, so that 100 % means all of it."""
-    return percent(share) if share < 0.999 else f"{np.floor(min(share, 1.0) * 1e5) / 1e3:.6g} %"
-
-
 def known_share(share: float) -> str:
-    """A share of a gap as per cent; nothing where it is not known or none."""
-    return share_text(share) if np.isfinite(share) and share > 0 else ""
+    """A share of a gap as per cent, nothing where it is not known or none; 100 % means all of it."""
+    if not np.isfinite(share) or share <= 0:
+        return ""
+    return percent(share) if share < 0.999 else f"{np.floor(min(share, 1.0) * 1e5) / 1e3:.6g} %"
 
 
 def listed(words: list[str]) -> str:

@@ -73,7 +73,6 @@ class Identifiability(ShownResult):
 
     def _parts(self) -> list[Part]:
         main = self.main
-        motions = ", ".join(n + (f" ({number(d, 3)} s)" if d else "") for n, d in self.motions.items())
         classes = []
         for kind, count in counts(main):
             names = listed((p.name for p in main.parameters if p.kind == kind), _NAMED)
@@ -82,7 +81,8 @@ class Identifiability(ShownResult):
             classes += side_by_side(self)
         expected = [spread(main), *(f"effect {name}: {text}" for name, text in effect_lines(main))]
         parts: list[Part] = [
-            f"{self.name}: what {motions} can determine", answer(self), sets_table(self), "* these readings would be used",
+            f"{self.name}: what {motions_text(self)} can determine", answer(self), sets_table(self),
+            "* these readings would be used",
             ShownSection(f"Link parameters, by {main.sensor_set.title}", classes), ShownSection("Expected errors", expected),
             ShownSection("What would make a difference", [f"- {a.text}" for a in self.advice]),
         ]  # fmt: skip
@@ -149,6 +149,11 @@ def _link(link: LinkExpectation, report: SetReport) -> dict[str, Any]:
         "expected_std": own_std(link, report), "class_of_any_motion": link.of_any_motion,
         "shown_by_moving": list(link.joints), "shown_by_sensor_sets": list(link.sensor_sets),
     }  # fmt: skip
+
+
+def motions_text(result: Identifiability) -> str:
+    """The motions and what they last."""
+    return ", ".join(n + (f" ({number(d, 3)} s)" if d else "") for n, d in result.motions.items())
 
 
 def answer(result: Identifiability) -> str:

@@ -51,26 +51,6 @@ class ImportedRecording:
     recording: Recording  # every quantity as it was recorded, and what was done
     delays: tuple[Delay, ...] = ()  # between topics
 
-    @property
-    def signals(self) -> tuple[Signal, ...]:
-        """Every quantity that is used, as it was recorded."""
-        return self.recording.signals
-
-    @property
-    def start(self) -> int | None:
-        """When time is zero [ns since 1970]; None where the log does not say."""
-        return self.recording.start
-
-    @property
-    def done(self) -> tuple[str, ...]:
-        """What was done and noticed, one line each."""
-        return self.recording.done
-
-    @property
-    def left_over(self) -> tuple[str, ...]:
-        """Columns, by their full names, and topics with their types, that are not used."""
-        return self.recording.left_over
-
 
 @dataclass(frozen=True, eq=False)
 class Imported:
@@ -104,15 +84,15 @@ class Imported:
             lines += self._recording_lines(recording)
         return "\n".join([*lines, *(f"  warning: {text}" for text in self.experiment.warnings)])
 
-    def _recording_lines(self, recording: ImportedRecording) -> list[str]:
-        lines = []
+    def _recording_lines(self, imported: ImportedRecording) -> list[str]:
+        lines, recording = [], imported.recording
         for motion in self.experiment:
-            if motion.name in (recording.name, f"{recording.name}-end"):
+            if motion.name in (imported.name, f"{imported.name}-end"):
                 table = motion.table
                 rate = f" at {number(1.0 / table.step, 4)} Hz" if table.step else ""
-                since = f", from {date(recording.start)}" if recording.start is not None and motion.name == recording.name else ""
+                since = f", from {date(recording.start)}" if recording.start is not None and motion.name == imported.name else ""
                 lines.append(
-                    f"  {motion.role} '{motion.name}' ({', '.join(recording.files)}): {len(table)} rows over "
+                    f"  {motion.role} '{motion.name}' ({', '.join(imported.files)}): {len(table)} rows over "
                     f"{number(table.duration, 4)} s{rate}{since}"
                 )
         alike: dict[tuple[str, bytes, float], list[Signal]] = {}
@@ -123,7 +103,7 @@ class Imported:
             lines.append(f"    {names}{f' of {signals[0].topic}' if signals[0].topic else ''}: {_times(signals[0])}")
             lines += [f"      {_span(signal.ours)} from {_span(signal.columns)}{_units(signal)}" for signal in signals]
         lines += [f"    {text}" for text in recording.done]
-        lines += [f"    {delay}" for delay in recording.delays]
+        lines += [f"    {delay}" for delay in imported.delays]
         if recording.left_over:
             lines.append(f"    not used: {listed(recording.left_over, 8)}")
         return lines
@@ -184,14 +164,15 @@ def _span(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
 
 
-def _document(recording: ImportedRecording) -> dict[str, Any]:
+def _document(imported: ImportedRecording) -> dict[str, Any]:
+    recording = imported.recording
     return {
-        "motion": recording.name, "files": list(recording.files),
-        "start": None if recording.start is None else date(recording.start), "rows_of": recording.recording.joined.base.name,
+        "motion": imported.name, "files": list(imported.files),
+        "start": None if recording.start is None else date(recording.start), "rows_of": recording.joined.base.name,
         "signals": [_signal(s) for s in recording.signals], "done": list(recording.done),
         "delays": [
             {"late": d.late, "against": d.against, "value_s": d.value, "std_s": d.std, "method": d.method}
-            for d in recording.delays
+            for d in imported.delays
         ],
         "left_over": list(recording.left_over),
     }  # fmt: skip

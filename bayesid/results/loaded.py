@@ -118,6 +118,11 @@ class _WithPredictions(Loaded):
         return _predictions(self.document["validation"])
 
 
+def _column(key: str, text: str) -> Any:
+    """A property: one number of each parameter (r,)."""
+    return property(lambda loaded: _numbers(loaded._entries, key), doc=text)
+
+
 class _WithParameters(Loaded):
     """A result read back that lists parameters (r,): the base parameters, or those of the joint torques that bounds are of."""
 
@@ -130,25 +135,10 @@ class _WithParameters(Loaded):
         """Names of the parameters (r,)."""
         return tuple(p["name"] for p in self._entries)
 
-    @property
-    def values(self) -> np.ndarray:
-        """Posterior means of the parameters, or the centre of their bounds (r,)."""
-        return _numbers(self._entries, "value")
-
-    @property
-    def std(self) -> np.ndarray:
-        """Standard deviations of the parameters (r,); nan where there is none."""
-        return _numbers(self._entries, "std")
-
-    @property
-    def low(self) -> np.ndarray:
-        """Lower ends of the central 95 % intervals (r,); of bounds, those of the box that holds all parameters at once."""
-        return _numbers(self._entries, "low")
-
-    @property
-    def high(self) -> np.ndarray:
-        """Upper ends, as `low`."""
-        return _numbers(self._entries, "high")
+    values = _column("value", "Posterior means of the parameters, or the centre of their bounds (r,).")
+    std = _column("std", "Standard deviations of the parameters (r,); nan where there is none.")
+    low = _column("low", "Lower ends of the central 95 % intervals (r,); of bounds, of the box that holds all at once.")
+    high = _column("high", "Upper ends, as `low` (r,).")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

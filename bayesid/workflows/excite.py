@@ -117,7 +117,8 @@ def excite(
         check_blocks(chosen.blocks)
         plan = make_plan(experiment, chosen, warm, seed, clock.progress)
         clock("expected deviations")
-        return _result(plan, clock)
+        result = _result(plan, clock)
+    return result
 
 
 def _warm(given: str | Path, experiment: Experiment) -> Trajectory:

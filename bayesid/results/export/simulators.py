@@ -21,12 +21,9 @@ ARMATURE = "rotor_inertia"
 
 @dataclass(frozen=True)
 class JointConstants:
-    """What simulators have inside a joint, by joint name, and what they have no place for."""
+    """What simulators have inside a joint beside friction, by joint name, and what they have no place for."""
 
-    #: Of joints that any was identified of [N m s/rad, N m, kg m^2, or those of a slide].
-    damping: dict[str, float]
-    frictionloss: dict[str, float]
-    armature: dict[str, float] = field(default_factory=dict)
+    armature: dict[str, float] = field(default_factory=dict)  # of joints that any was identified of [kg m^2, or kg of a slide]
     #: Stiffness and rest position [N m/rad, rad, or those of a slide].
     springs: dict[str, tuple[float, float]] = field(default_factory=dict)
     #: By how much torques are read later than positions [s]; negative where they are read before they act.
@@ -38,9 +35,6 @@ class JointConstants:
 
 def joint_constants(robot: Robot, dynamics: JointDynamics, holds: tuple[str, ...]) -> JointConstants:
     """What of the identified effects a simulator can hold, of ``armature``, ``springs`` and ``delays``, beside friction."""
-    damping, friction = (
-        {joint: values[key] for joint, values in dynamics.friction.items() if key in values} for key in ("damping", "friction")
-    )
     beside, negative = dict(dynamics.beside), list(dynamics.left_out)
     armature, springs, delays = {}, {}, {}
     both = beside.pop("torque_delay@robot.delay", None) if "delays" in holds else None
@@ -57,7 +51,7 @@ def joint_constants(robot: Robot, dynamics: JointDynamics, holds: tuple[str, ...
             own = beside.pop(f"torque_delay{place}.delay", None)
             if own or both:
                 delays[joint] = sum(found[0] for found in (own, both) if found)
-    return JointConstants(damping, friction, armature, springs, delays, tuple(negative), beside)
+    return JointConstants(armature, springs, delays, tuple(negative), beside)
 
 
 def plain_urdf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics: JointDynamics) -> ET.Element:

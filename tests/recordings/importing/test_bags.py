@@ -42,8 +42,8 @@ def test_a_bag_is_read_as_it_was_written(kind, known, tmp_path):
     np.testing.assert_array_equal(motion.table.wrench, known.wrench)
     assert imported.experiment.sensor is not None and imported.experiment.sensor.joint == "wrist_ft"
     (told,) = imported.recordings
-    assert told.start == START and {s.clock.kind for s in told.signals} == {"header"}
-    assert told.signals[0].clock.late == pytest.approx((1.5e-3, 0.0))
+    assert told.recording.start == START and {s.clock.kind for s in told.recording.signals} == {"header"}
+    assert told.recording.signals[0].clock.late == pytest.approx((1.5e-3, 0.0))
     text = str(imported)
     assert "the log's times are 1.50 +- 0 ms later" in text and "no positions of gripper: locked at 0" in text
     assert "2023-11-14T22:13:20.000Z" in text and "at 125.0 Hz" in text
@@ -112,7 +112,7 @@ def test_order_may_differ_from_message_to_message_and_parts_may_be_empty(known, 
     np.testing.assert_array_equal(motion.table.positions, known.q)
     np.testing.assert_array_equal(motion.table.torques, known.tau)
     assert motion.table.velocities is None
-    assert imported.recordings[0].left_over == ("/joint_states/gripper/position",)
+    assert imported.recordings[0].recording.left_over == ("/joint_states/gripper/position",)
     assert imported.experiment.locked == {"gripper": 0.01}
     assert any("gripper is not used and stands: locked at 0.01" in text for text in imported.done)
 
@@ -133,7 +133,7 @@ def test_topics_of_other_rates_meet_at_the_times_of_the_slower(known, tmp_path):
     inner = slice(2, -2)
     left = (table.wrench - exact)[inner]
     assert np.abs(left.mean(axis=0)).max() < 0.02 and left[:, :3].std() < 0.15  # 0.1 N of noise in a sample of either
-    assert any("mean over 8 ms about each row (4 samples)" in text for text in imported.recordings[0].done)
+    assert any("mean over 8 ms about each row (4 samples)" in text for text in imported.recordings[0].recording.done)
     (delay,) = imported.recordings[0].delays
     assert abs(delay.value) < 4.0 * delay.std < 4e-3
 
@@ -148,7 +148,7 @@ def test_a_delay_between_topics_is_told(known, tmp_path):
     assert "later than positions of /joint_states" in str(delay)
     imported = bayesid.read_recording(tmp_path / "run", known.urdf, shift={"wrench": -0.03})
     np.testing.assert_allclose(imported.experiment.motions[0].table.wrench, known.wrench, rtol=0.0, atol=1e-6)
-    assert any("wrench: times shifted by -0.03 s" in text for text in imported.recordings[0].done)
+    assert any("wrench: times shifted by -0.03 s" in text for text in imported.recordings[0].recording.done)
     with pytest.raises(InputError, match="shift: fx = 1 is no shift of a quantity"):
         bayesid.read_recording(tmp_path / "run", known.urdf, shift={"fx": 1.0})
 
@@ -176,7 +176,7 @@ def test_repeated_samples_are_told_with_the_true_rate(known, tmp_path):
         for k, ns in enumerate(START + known.ns):
             bag.joints(ns, JOINTS, known.q[k // 5 * 5], tau=known.tau[k // 5 * 5])
     imported = bayesid.read_recording(tmp_path / "run", known.urdf)
-    assert any("repeated for 5 rows; the true rate is 25 Hz" in text for text in imported.recordings[0].done)
+    assert any("repeated for 5 rows; the true rate is 25 Hz" in text for text in imported.recordings[0].recording.done)
     np.testing.assert_array_equal(imported.experiment.motions[0].table.positions, known.q[::5])
 
 
@@ -186,7 +186,7 @@ def test_headers_that_count_nothing_leave_the_log(known, tmp_path):
             bag.joints(0, JOINTS, known.q[k], known.v[k], known.tau[k], log=ns)
     imported = bayesid.read_recording(tmp_path / "run", known.urdf)
     _is(imported.experiment.motions[0].table, known)
-    assert any("stamps of headers are zero or stand still" in text for text in imported.recordings[0].done)
+    assert any("stamps of headers are zero or stand still" in text for text in imported.recordings[0].recording.done)
     with pytest.raises(InputError, match="clock="):
         bayesid.read_recording(tmp_path / "run", known.urdf, clock="header")
 
@@ -198,7 +198,7 @@ def test_clocks_of_different_kinds_and_messages_that_lack_a_number_are_told(know
             bag.joints(ns, JOINTS, [np.nan, 0.0] if k == 100 else known.q[k], tau=known.tau[k], log=ns + 2_000_000)
             bag.wrench(0, known.wrench[k], log=ns + 2_000_000)
     imported = bayesid.read_recording(tmp_path / "run", known.urdf)
-    done = imported.recordings[0].done
+    done = imported.recordings[0].recording.done
     assert any("/ft by times of the log, /joint_states by stamps of headers (one for all: clock=" in text for text in done)
     assert any("/joint_states: 1 messages lack a number" in text for text in done)
     table = bayesid.read_recording(tmp_path / "run", known.urdf, clock="log").experiment.motions[0].table
@@ -216,7 +216,7 @@ def test_a_gap_and_stamps_out_of_order_are_told(known, tmp_path):
     imported = bayesid.read_recording(tmp_path / "run", known.urdf)
     _is(imported.experiment.motions[0].table, known, kept)
     assert "1 gap (2.992 to 3.504 s)" in str(imported) or "1 gap (3 to 3.504 s)" in str(imported)
-    assert any("1 messages came out of order" in text for text in imported.recordings[0].done)
+    assert any("1 messages came out of order" in text for text in imported.recordings[0].recording.done)
 
 
 _CUSTOM = """

@@ -49,7 +49,7 @@ def test_our_own_names_need_no_mapping(known, tmp_path):
     table = imported.experiment.motions[0].table
     for name, values in (("times", known.t), ("positions", known.q), ("torques", known.tau), ("wrench", known.wrench)):
         np.testing.assert_array_equal(getattr(table, name), values)
-    assert imported.recordings[0].left_over == ("mode",) and imported.recordings[0].start is None
+    assert imported.recordings[0].recording.left_over == ("mode",) and imported.recordings[0].recording.start is None
     with pytest.raises(InputError, match=r"2 positions \(q1 ... q2\) but 3 joints \(shoulder, elbow, gripper\); name those of"):
         bayesid.read_recording(tmp_path / "log.csv", known.urdf)
 
@@ -113,10 +113,10 @@ def test_times_of_any_kind(clock, known, tmp_path):
     imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, units=units)
     (told,), (motion,) = imported.recordings, imported.experiment.motions
     dated = clock not in ("seconds", "milliseconds")
-    assert told.start == (START if dated else None)
+    assert told.recording.start == (START if dated else None)
     exact = known.t + (12.5 if clock == "seconds" else 0.0)
     np.testing.assert_allclose(motion.table.times, exact, rtol=0.0, atol=3e-7 if clock == "seconds since 1970" else 1e-12)
-    assert clock in told.signals[0].clock.text
+    assert clock in told.recording.signals[0].clock.text
 
 
 def test_units_in_brackets_after_a_name_are_taken(known, tmp_path):
@@ -219,7 +219,7 @@ def test_a_table_of_merged_topics_has_the_times_of_the_slower(known, tmp_path):
     np.testing.assert_array_equal(table.times, (known.t[slow] + 0.001)[: len(table)])
     at = np.interp(table.times, known.t, known.q[:, 1])
     assert np.abs(table.positions[:, 1] - at).max() < 1e-4  # straight lines lack a tenth of a milliradian here
-    assert any("rows are at the times of wrench" in text for text in imported.recordings[0].done)
+    assert any("rows are at the times of wrench" in text for text in imported.recordings[0].recording.done)
 
 
 def test_files_of_topics_are_joined(known, tmp_path):
