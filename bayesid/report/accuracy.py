@@ -20,7 +20,7 @@ from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters, notation
 from bayesid.estimators.estimator import LEVEL
 from bayesid.report.figures import GREY, NOISE, PREDICTED, Drawing, add_legend, list_rows, make_grid, plain_log, styled
-from bayesid.report.page import cards, figure, fold, how, lead, note, page, run_times, svg, terms, versions, warnings
+from bayesid.report.page import cards, figure, fold, how, lead, note, page, svg, terms, warnings
 from bayesid.results.accuracy import (
     NO_BIAS,
     Accuracy,
@@ -317,7 +317,7 @@ def accuracy_report(result: Accuracy) -> str:
     parameters = [_parameters(result), note("± : standard errors of the simulation.")]
     sections += [
         ShownSection("Every base parameter", parameters, "Parameters"),
-        how(*_how(result), after="SI units, force before moment.", title="How this was done"),
+        how(*_how(result), seconds=result.seconds, after="SI units, force before moment.", title="How this was done"),
     ]
     readings = channel_text(bench.problem.channel, bench.problem.fitted)
     kicker = f"Accuracy of {bench.rank} base parameters by {bench.method.name}, from the {readings}"
@@ -439,7 +439,7 @@ def _how(result: Accuracy) -> list[tuple[str, str]]:
     ]
     if result.sweeps is not None:
         rows.append(("Twins", f"{result.sweeps.runs} of every simulated level, all from seed {result.sweeps.seed}"))
-    return [*rows, run_times(result.seconds), versions("numpy", "scipy", "pin")]
+    return rows
 
 
 @figures_of.register

@@ -28,7 +28,7 @@ from bayesid.report.figures import (
     styled,
     tidy_time,
 )
-from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, run_times, svg, versions, warnings
+from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, svg, warnings
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands, band_table, bands_of, joints
 from bayesid.results.files import report_of
 from bayesid.rounding import channel_text, ends, number, percent, with_half
@@ -163,7 +163,7 @@ def bounds_report(result: ControllerBounds) -> str:
                  "for something they hardly show."),
         ]),
         ShownSection("What it rests on", [bullets(result.assumptions)]),
-        how(*_how(result), after=(
+        how(*_how(result), seconds=result.seconds, packages=("numpy", "scipy"), after=(
             "All numbers are in `bounds.json`, arrays in `bounds.mat`; `identified.urdf` is the robot that "
             f"`{call('identify')}` writes, friction included; what a URDF has no place for, such as rotor inertia, stands in "
             f"its comments and under `identified_urdf`{drawn}.")),
@@ -279,8 +279,6 @@ def _how(result: ControllerBounds) -> list[tuple[str, str]]:
         ("Law of the parameters", "normal" if result.region.draws is None else f"{len(result.region.draws)} draws"),
         ("Workspace", f"{w.configurations} points of a Sobol sequence in joint ranges {ranges} rad (or m); {w.draws} draws; "
          f"seed {result.seed}"),
-        run_times(result.seconds),
-        versions("numpy", "scipy"),
     ]  # fmt: skip
 
 

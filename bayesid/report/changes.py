@@ -17,7 +17,7 @@ from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, text_width, write
 from bayesid.report.diagnosis_figures import evidence, waterfall
 from bayesid.report.figures import NOISE, PREDICTED, add_legend, make_grid, styled
-from bayesid.report.page import below, cards, figure, how, lead, note, page, svg, versions, warnings
+from bayesid.report.page import below, cards, figure, how, lead, note, page, svg, warnings
 from bayesid.results.changes import (
     Changes,
     Watch,
@@ -84,7 +84,7 @@ def changes_report(result: Changes) -> str:
             note("By these motions, beside what was named; a body's other parameters in the proportions of a compact one near "
                  "the joint."),
         ], "What could hide"),
-        how(*_how(result)),
+        how(*_how(result), seconds=result.seconds),
     ]  # fmt: skip
     opening = [
         lead(f"**{verdict_sentence(c)}**"), cards(_cards(c)),
@@ -181,8 +181,6 @@ def _how(result: Changes) -> list[tuple[str, str]]:
         ("Bandwidth", f"{number(problem.smoother.bandwidth, 3)} Hz, the lower of what both recordings choose"),
         ("Rows", f"{len(c.recording.left)}, of which {number(c.recording.correlation, 3)} count as one"),
         ("Dispersion", number(c.selection.marginal().dispersion, 3)),
-        ("Run time", f"{number(result.seconds, 3)} s"),
-        versions("numpy", "scipy", "pin"),
     ]
 
 
@@ -214,8 +212,7 @@ def watch_report(result: Watch) -> str:
                    "whole names falsely as rarely as one alone."),
             *(figure(s, "With 95 % intervals; recordings without a dot show no such change.") for s in _sizes(result)),
         ]),
-        how(("Recordings", f"{len(entries)} of {result.planned}"), ("Run time", f"{number(result.seconds, 3)} s"),
-            versions("numpy", "scipy", "pin"),
+        how(("Recordings", f"{len(entries)} of {result.planned}"), seconds=result.seconds,
             after=f"Everything about one recording: `{call('diagnose')}` with `{argument('reference', result.reference)}`. "
                   f"A change is named from a log evidence of {number(result.accept, 3)}."),
     ]  # fmt: skip

@@ -12,22 +12,7 @@ from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import CYCLE
 from bayesid.report.figures import GREY, NOISE, add_legend, draw_intervals, given_axes, list_rows, make_grid, plain_log, styled
 from bayesid.report.identification import how_motions
-from bayesid.report.page import (
-    below,
-    cards,
-    figure,
-    fold,
-    how,
-    lead,
-    mood_of,
-    note,
-    page,
-    run_times,
-    svg,
-    terms,
-    versions,
-    warnings,
-)
+from bayesid.report.page import below, cards, figure, fold, how, lead, mood_of, note, page, svg, terms, warnings
 from bayesid.results.comparison import Comparison, Entry, in_sigmas, overview_table, values_table
 from bayesid.results.files import report_of
 from bayesid.results.loaded import LoadedComparison
@@ -100,9 +85,8 @@ def comparison_report(result: Comparison) -> str:
             "to the reading, and what is left in units of the noise (× noise).",
             *(_motion_errors(result, k, role) for k in range(len(done[0].predictions))),
         ]))  # fmt: skip
-    sections.append(
-        how(*_how(result), after="SI units, force before moment. Intervals are central and hold 95 %.", title="How this was done")
-    )
+    after = "SI units, force before moment. Intervals are central and hold 95 %."
+    sections.append(how(*_how(result), seconds=result.seconds, after=after, title="How this was done"))
     name = "Comparison of estimators" if problem is None else problem.experiment.name
     source = "a regression of one's own" if problem is None else f"the {channel_text(problem.channel, problem.fitted)}"
     better = "every estimator predicts better than the nominal model, and " if predicted else ""
@@ -385,8 +369,6 @@ def _how(result: Comparison) -> list[tuple[str, str]]:
         *([] if problem is None else how_motions(problem)),
         ("Rows", f"{regression.rows.count} of {len(regression.channel_names)} channels, the same for all estimators"),
         ("Noise", "learned once; what is left is counted in it for all, so that no estimator is judged by a noise of its own"),
-        run_times(result.seconds),
-        versions("numpy", "scipy", "pin"),
     ]
 
 

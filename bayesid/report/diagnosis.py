@@ -33,7 +33,7 @@ from bayesid.report.diagnosis_figures import (
     waterfall,
 )
 from bayesid.report.excitation import PAIRS, motion_groups, motion_plot
-from bayesid.report.page import below, bullets, cards, figure, fold, how, lead, mood_of, note, page, svg, versions, warnings
+from bayesid.report.page import below, bullets, cards, figure, fold, how, lead, mood_of, note, page, svg, warnings
 from bayesid.results.described import not_distinguished, shares, terms_of, use_line
 from bayesid.results.diagnosis import (
     Diagnosis,
@@ -109,7 +109,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> str:
     found = [_found(d)] if d.found else []
     sections = [
         *_stays(d), _where(d, views), *found, *described, _why(d), *moved, _left(d, views), _visible(d, views),
-        _noise_floor(d, views), _next(d), how(*_how(d), after="All numbers are in `diagnosis.json`."),
+        _noise_floor(d, views), _next(d), how(*_how(d), seconds=d.seconds, after="All numbers are in `diagnosis.json`."),
     ]  # fmt: skip
     opening = [
         lead(f"**{verdict_sentence(d)}** {validation_sentence(d)}"), cards(_cards(d)),
@@ -523,8 +523,6 @@ def _how(d: Diagnosis) -> list[tuple[str, str]]:
         ("Tried", f"{len(s.proposals)} effects and places, the best of them by exact fits, alone and together"),
         ("Weighted residual of the search", f"{number(float(np.sqrt(s.base.chi2 / s.projector.rows)), 3)} before, "
          f"{number(float(np.sqrt(s.best.chi2 / s.projector.rows)), 3)} after: channels and frequencies weighted by noise"),
-        ("Run time", f"{number(d.seconds, 3)} s"),
-        versions("numpy", "scipy", "pin"),
     ]  # fmt: skip
 
 

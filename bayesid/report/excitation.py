@@ -13,7 +13,7 @@ from bayesid.arguments import argument
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import WIDTH, Group, Panel, chart, key, key_width, limits, text_width, write
 from bayesid.report.check import recording
-from bayesid.report.page import bullets, cards, figure, fold, lead, note, page, run_times, terms, versions, warnings
+from bayesid.report.page import bullets, cards, figure, fold, how, lead, note, page, warnings
 from bayesid.results.excitation import (
     TRAJECTORY,
     DistinguishingMotion,
@@ -112,7 +112,7 @@ def distinguishing_report(result: DistinguishingMotion) -> str:
     sections = [
         ShownSection("Every pair", [recorded + sizes, pair_table(t), note(PAIRS)]),
         ShownSection("The motion", [drawn], "Motion"),
-        ShownSection("Details", [bullets(t.notes), terms([run_times(result.seconds), versions("numpy", "scipy", "pin")])]),
+        ShownSection("Details", [bullets(t.notes), *how(seconds=result.seconds).parts]),
     ]
     kicker = "The motion within limits that best tells effects apart"
     title = f"{result.name}: a motion that tells effects apart"
@@ -177,7 +177,7 @@ def excitation_report(result: Excitation) -> str:
         _coefficients(result),
         ShownSection("Details", [
             bullets(result.notes),
-            terms([*_options(result), run_times(result.seconds), versions("numpy", "scipy", "pin")]),
+            *how(*_options(result), seconds=result.seconds).parts,
         ]),
     ]  # fmt: skip
     fine = "The motion keeps all limits and determines every base parameter of these readings."

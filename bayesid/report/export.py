@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayesid.report.page import how, note, page, terms, versions, warnings
+from bayesid.report.page import how, note, page, terms, warnings
 from bayesid.results.exported import Exported
 from bayesid.results.files import report_of
 from bayesid.rounding import channel_text, number
@@ -20,7 +20,7 @@ def export_report(result: Exported) -> str:
     sections = [
         ShownSection("Files", [terms(list(result.about.items())), note(", ".join(result.texts))]),
         *([ShownSection("Identified, and not in these files", [left_out])] if rows else []),
-        how(versions("numpy", "pin")),
+        how(packages=("numpy", "pin")),
     ]
     kicker = f"Identified by {result.method}, from the {channel_text(result.channel)}"
     return page(f"{result.name} for other tools", kicker, [warnings(result.warnings)], sections)

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from bayesid.design.identifiability import ALONE, COMBINATION, EFFECT, LETTERS, NEVER, UNEXCITED, WEAK, WORDS, SetReport, by_body
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.figures import CLASSES, GREY, list_rows, make_grid, place_legend, plain_log, styled
-from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, run_times, svg, terms, versions, warnings
+from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, svg, terms, warnings
 from bayesid.results.files import report_of
 from bayesid.results.identifiability import (
     Identifiability,
@@ -159,7 +159,8 @@ def identifiability_report(result: Identifiability) -> str:
                  "that it has most of.</p>"),
             _links(result),
         ], "Every link parameter"),
-        how(*_how(result), after="All numbers, the expected covariance of each sensor set too, are in `identifiability.json`."),
+        how(*_how(result), seconds=result.seconds, packages=("numpy", "pin"),
+            after="All numbers, the expected covariance of each sensor set too, are in `identifiability.json`."),
     ]  # fmt: skip
     opening = [warnings(result.warnings), lead(answer(result)), cards(_cards(main))]
     what = {"regression": "given"}.get(result.source, result.source)
@@ -222,8 +223,6 @@ def _how(result: Identifiability) -> list[tuple[str, str]]:
     rows += [
         ("Ranks", "of the regressor, effects projected out; a column counts from 3e-5 of its length on"),
         ("Size", "standard deviation of a combination when every body's mass distribution is uncertain by its own size"),
-        run_times(result.seconds),
-        versions("numpy", "pin"),
     ]
     return rows
 

@@ -16,23 +16,7 @@ from bayesid.regression.problem import Problem
 from bayesid.report.accuracy import certificate_section
 from bayesid.report.identification_figures import bandwidth_sensitivity, intervals_figure
 from bayesid.report.motion_figures import measured_against_predicted, residuals
-from bayesid.report.page import (
-    below,
-    bullets,
-    cards,
-    figure,
-    fold,
-    lead,
-    mood_of,
-    note,
-    page,
-    physical,
-    run_times,
-    svg,
-    terms,
-    versions,
-    warnings,
-)
+from bayesid.report.page import below, bullets, cards, figure, fold, how, lead, mood_of, note, page, physical, svg, warnings
 from bayesid.results.files import report_of
 from bayesid.results.identification import Identification
 from bayesid.robot import inertia
@@ -186,7 +170,7 @@ def identification_report(result: Identification) -> str:
         *_both_ways(result),
         *certificate_section(result.certificate, estimate.base),
         ShownSection("How this was done", [
-            terms(_how(result)),
+            *how(*_how(result), seconds=result.seconds).parts,
             "" if tried is None else below("The bandwidth of the motion", figure(
                 svg(bandwidth_sensitivity(tried, estimate.full_std), "bandwidths"),
                 "Bandwidths that were tried. Left: error on segments of the fitted motions that were left out, in one and the "
@@ -499,7 +483,7 @@ def _how(result: Identification) -> list[tuple[str, str]]:
         for group, model in noise.items()
     ]
     bandwidth, accelerations, static = how_motions(problem)
-    how = [
+    rows = [
         bandwidth, accelerations,
         ("Rows", f"{estimate.rows} numbers, {number(1.0 / problem.row_model.step, 3)} rows a second"), static,
         ("Noise", "autoregressive in time, correlated between channels; order "
@@ -513,8 +497,8 @@ def _how(result: Identification) -> list[tuple[str, str]]:
         ("Intervals", estimate.interval if not estimate.interval_reason else f"{estimate.interval}: {estimate.interval_reason}"),
     ]  # fmt: skip
     if result.prior_check is not None:
-        how.append(("Prior against data", result.prior_check.brief()))
-    return [*how, *described(estimate.details.to_dict()), run_times(result.seconds), versions("numpy", "scipy", "pin")]
+        rows.append(("Prior against data", result.prior_check.brief()))
+    return [*rows, *described(estimate.details.to_dict())]
 
 
 @figures_of.register

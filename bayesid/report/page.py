@@ -86,9 +86,18 @@ def terms(pairs: Sequence[tuple[str, str]]) -> Html:
     return Html("<dl>" + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in pairs) + "</dl>")
 
 
-def how(*pairs: tuple[str, str], after: str = "", title: str = "How") -> ShownSection:
-    """The last section: how it was done."""
-    return ShownSection(title, [terms(pairs), note(after)], "How")
+def how(
+    *pairs: tuple[str, str], seconds: Mapping[str, float] | float | None = None,
+    packages: Sequence[str] = ("numpy", "scipy", "pin"), after: str = "", title: str = "How",
+) -> ShownSection:  # fmt: skip
+    """The last section: how it was done, in which time [s], in all or of every stage, and with which versions."""
+    rows = [*pairs]
+    if isinstance(seconds, Mapping):
+        rows.append(("Run time", ", ".join(f"{stage} {number(s, 2)} s" for stage, s in seconds.items())))
+    elif seconds is not None:
+        rows.append(("Run time", f"{number(seconds, 3)} s"))
+    versions = [f"Python {platform.python_version()}", *(f"{name} {version(name)}" for name in ("bayesid", *packages))]
+    return ShownSection(title, [terms([*rows, ("Versions", ", ".join(versions))]), note(after)], "How")
 
 
 @functools.cache
@@ -103,16 +112,6 @@ def svg(figure: Any, name: str) -> Markup:
     from bayesid.report.figures import to_svg
 
     return Markup(to_svg(figure, name))
-
-
-def run_times(seconds: Mapping[str, float]) -> tuple[str, str]:
-    """The row that tells the run time [s] of every stage."""
-    return "Run time", ", ".join(f"{stage} {number(s, 2)} s" for stage, s in seconds.items())
-
-
-def versions(*packages: str) -> tuple[str, str]:
-    """The row that tells the versions of Python, this package and others."""
-    return "Versions", ", ".join([f"Python {platform.python_version()}", *(f"{p} {version(p)}" for p in ("bayesid", *packages))])
 
 
 def mood_of(white: float) -> str:

@@ -15,7 +15,7 @@ from bayesid.design.payload.body import Quantity
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, styled
 from bayesid.report.motion_figures import measured_against_predicted
-from bayesid.report.page import below, cards, figure, how, note, page, run_times, svg, versions, warnings
+from bayesid.report.page import below, cards, figure, how, note, page, svg, warnings
 from bayesid.results.files import report_of
 from bayesid.results.payload import SOURCES, Calibration, PayloadEstimate, cells
 from bayesid.rounding import channel_text, number
@@ -34,7 +34,7 @@ def calibration_report(result: Calibration) -> str:
                    "Readings, measured and by the model with all that was found."),
         ]),
         *_files("Gravity compensation", result.exports()),
-        how(("Diagnosis", result.verdict or "refused"), run_times(result.seconds), versions("numpy", "scipy", "pin")),
+        how(("Diagnosis", result.verdict or "refused"), seconds=result.seconds),
     ]  # fmt: skip
     motions = ", ".join(result.fit.problem.fitted)
     return page(
@@ -61,7 +61,7 @@ def payload_report(result: PayloadEstimate) -> str:
             ("Diagnosis", result.verdict or "left out"),
             ("Physically consistent", "yes" if result.physically_consistent else "no"),
             ("Bound of an inertia that is not shown", f"{number(result.inertia_bound, 3)} kg m²"),
-            run_times(result.seconds), versions("numpy", "scipy", "pin"),
+            seconds=result.seconds,
         ),
     ]  # fmt: skip
     source = SOURCES[result.source].format(where=result.source_detail)

@@ -15,7 +15,7 @@ from bayesid.posterior.result import Posterior
 from bayesid.report.charts import CYCLE
 from bayesid.report.figures import CLASSES, GREY, NOISE, add_legend, make_grid, picked, styled
 from bayesid.report.motion_figures import measured_against_predicted, residuals
-from bayesid.report.page import below, cards, figure, fold, how, lead, page, run_times, svg, versions, warnings
+from bayesid.report.page import below, cards, figure, fold, how, lead, page, svg, warnings
 from bayesid.results.files import report_of
 from bayesid.results.loaded import LoadedPosterior
 from bayesid.results.posterior import ExperimentPosterior
@@ -170,7 +170,8 @@ def posterior_report(result: ExperimentPosterior) -> str:
             fold(f"R-hat and effective sample sizes of all {len(d.names)} numbers",
                  ShownTable(["parameter", "R-hat", "ESS, bulk", "ESS, tail"], chains, "w n n n")),
         ], "Chains"),
-        how(*_how(result), after="All draws are in `posterior.nc`, which ArviZ opens; numbers in `posterior.json`."),
+        how(*_how(result), seconds=result.seconds, packages=("emcee", "arviz", "numpy"),
+            after="All draws are in `posterior.nc`, which ArviZ opens; numbers in `posterior.json`."),
     ]  # fmt: skip
     name, robot = problem.experiment.name, problem.experiment.robot.name
     fine = "No warnings: the chains agree and validation motions are predicted down to the noise."
@@ -342,8 +343,6 @@ def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
         ("Model complete", "yes" if model.likelihood.complete else "no: intervals count how far parts scatter"),
         ("Rows", f"{model.likelihood.rows} numbers, {number(1.0 / problem.row_model.step, 3)} rows a second"),
         ("Sampler", f"{engine}; a draw every {chains.thin} of its usual distances; seed {result.seed}"),
-        run_times(result.seconds),
-        versions("emcee", "arviz", "numpy"),
     ]
 
 
