@@ -21,18 +21,8 @@ from bayesid.dynamics.base_parameters import BaseParameters, notation
 from bayesid.estimators.estimator import LEVEL
 from bayesid.report.figures import GREY, NOISE, PREDICTED, Drawing, add_legend, list_rows, make_grid, plain_log, styled
 from bayesid.report.page import cards, figure, fold, how, lead, note, page, svg, terms, warnings
-from bayesid.results.accuracy import (
-    NO_BIAS,
-    Accuracy,
-    change,
-    coverage_text,
-    effects_table,
-    improvements_table,
-    sensor_title,
-    sensors_table,
-    sweeps_table,
-    worst_places,
-)
+from bayesid.results import accuracy as results
+from bayesid.results.accuracy import Accuracy
 from bayesid.results.files import report_of
 from bayesid.robot import inertia
 from bayesid.rounding import DASH, HALF, channel_text, number, percent
@@ -166,7 +156,8 @@ def _dots(ax: Axes, rows: list[tuple[Sweep, int, Level]], sweeps: Sweeps) -> Non
 
 def _mapped(result: Accuracy) -> list[Susceptibility]:
     """Effects and places that bias most, a few of each kind."""
-    return worst_places([s for s in result.susceptibility if s.largest >= NO_BIAS], _MAPPED_PLACES)[:_SHOWN_EFFECTS]
+    biased = [s for s in result.susceptibility if s.largest >= results.NO_BIAS]
+    return results.worst_places(biased, _MAPPED_PLACES)[:_SHOWN_EFFECTS]
 
 
 @styled
@@ -241,7 +232,7 @@ def certificate_section(certificate: CoverageCertificate | None, base: BaseParam
     section = ShownSection(
         "Coverage certificate",
         [
-            coverage_text(certificate) + more,
+            results.coverage_text(certificate) + more,
             figure(
                 svg(certificate_figure(certificate, base.short_names), "certificate"),
                 "Dots: share of 95 % intervals that held the truth; strokes: its own 95 % interval. Green band: where exact "
@@ -282,11 +273,11 @@ _MAPPED_PLACES = 4
 def accuracy_report(result: Accuracy) -> str:
     """The report of ``accuracy``: an HTML page with all figures inside."""
     bench, sweeps, base = result.bench, result.sweeps, result.bench.problem.row_model.base
-    biased = [s for s in result.susceptibility if s.largest >= NO_BIAS]
+    biased = [s for s in result.susceptibility if s.largest >= results.NO_BIAS]
     sections: list[Part] = []
     if result.improvements:
         best = "The best step of each factor that lowers the error beyond chance, what lowers it most first."
-        sections.append(ShownSection("What would buy most", [best, improvements_table(result)]))
+        sections.append(ShownSection("What would buy most", [best, results.improvements_table(result)]))
     if sweeps is not None:
         sections.append(ShownSection("One factor at a time", [
             "Everything else stays as it is. Error: root mean square of estimate less truth, bias included. Predictions: of "
@@ -294,7 +285,7 @@ def accuracy_report(result: Accuracy) -> str:
             figure(svg(sweeps_figure(sweeps), "sweeps"),
                    "Median over the base parameters, relative to your own setting (green line); bars: 95 % intervals from "
                    f"{sweeps.runs} simulated recordings of each level, which all levels share. Circles around dots: by formula."),
-            sweeps_table(sweeps),
+            results.sweeps_table(sweeps),
             note("Lost: combinations of parameters that such readings do not determine; the median is over the others. Length: "
                  "recording the first part, or the whole motion several times with fresh noise. Faster sampling: noise taken "
                  "as independent from sample to sample."),
@@ -307,9 +298,10 @@ def accuracy_report(result: Accuracy) -> str:
         figure(svg(bias_map(result), "susceptibility") if biased else "",
                f"The {len(_mapped(result))} places that bias most, at most four of a kind, by base parameter; white: less than a "
                "tenth of a standard deviation."),
-        "Each kind of effect at its worst place:", effects_table(worst_places(result.susceptibility, 1), base.labels),
+        "Each kind of effect at its worst place:",
+        results.effects_table(results.worst_places(result.susceptibility, 1), base.labels),
         fold(f"All {len(result.susceptibility)} places{unbiased * (len(biased) < len(result.susceptibility))}",
-             effects_table(result.susceptibility, base.labels)),
+             results.effects_table(result.susceptibility, base.labels)),
     ], "Effects left out"))  # fmt: skip
     sections += certificate_section(result.certificate, base)
     if result.sensors is not None:
@@ -332,18 +324,19 @@ def _lead(result: Accuracy) -> str:
     best = result.improvements
     if best:
         first = best[0][1]
-        text = f"What would help most: {first.improvement} ({change(first.ratio)} of the median error of the base parameters)."
+        text = f"What would help most: {first.improvement} ({results.change(first.ratio)} of the median error of the base "
+        text += "parameters)."
         if len(best) > 1:
-            text += " Then " + ", ".join(f"{v.improvement} ({change(v.ratio)})" for _, v in best[1:3]) + "."
+            text += " Then " + ", ".join(f"{v.improvement} ({results.change(v.ratio)})" for _, v in best[1:3]) + "."
     elif result.sweeps is not None:
         text = "None of the changes that were tried lowers the error by more than chance."
-    worst = next((s for s in result.susceptibility if s.largest >= NO_BIAS), None)
+    worst = next((s for s in result.susceptibility if s.largest >= results.NO_BIAS), None)
     if worst is not None:
         text += (
             f" Of the effects that the model lacks, {worst.effect.spec} of usual size would do most harm: a bias of "
             f"{number(worst.largest, 2)} standard deviations."
         )
-    return f"{text} {coverage_text(result.certificate)}".strip()
+    return f"{text} {results.coverage_text(result.certificate)}".strip()
 
 
 def _cards(result: Accuracy) -> list[tuple[str, str, str]]:
@@ -354,7 +347,7 @@ def _cards(result: Accuracy) -> list[tuple[str, str, str]]:
         largest = float(np.nanmax(np.abs(own.bias) / np.maximum(own.std, 1e-300)))
         mood = "good" if largest < 0.5 + 3.0 / np.sqrt(result.sweeps.runs) else "fair"
         large.append((f"{number(largest, 2)} σ", "largest bias by smoothing and encoders alone", mood))
-    large += [(change(v.ratio), f"of the median error by {v.improvement}", "") for _, v in result.improvements[:2]]
+    large += [(results.change(v.ratio), f"of the median error by {v.improvement}", "") for _, v in result.improvements[:2]]
     if (c := result.certificate) is not None:
         mood = "good" if c.holds else "bad"
         large.append((percent(c.overall), f"of 95 % intervals held the truth on {c.twins} twins", mood))
@@ -377,7 +370,7 @@ def _parameters(result: Accuracy) -> ShownTable:
             row += [] if sweeps.formula is None else [number(sweeps.formula[k], 3)]
             row += [f"{number(own.bias[k], 2)} ± {number(own.bias_error[k], 2)}", number(own.rms[k], 3)]
         worst, most = max(result.susceptibility, key=lambda s: np.nan_to_num(abs(s.sigmas[k])), default=None), DASH
-        if worst is not None and np.isfinite(worst.sigmas[k]) and abs(worst.sigmas[k]) >= NO_BIAS:
+        if worst is not None and np.isfinite(worst.sigmas[k]) and abs(worst.sigmas[k]) >= results.NO_BIAS:
             most = f"{worst.effect.spec} ({number(abs(worst.sigmas[k]), 2)} σ)"
         rows.append([*row, unit, most])
     return ShownTable([*head, "unit", "most harmful effect"], rows, f"{columns} ku -", "tight")
@@ -410,7 +403,7 @@ def _sensors(choice: SensorChoice) -> ShownSection:
         "What each sensor would tell of the fitted motions, its offset fitted along, before it is bought. Left of a body: the "
         "share of the prior uncertainty of its ten parameters; 100 % is what is known without the sensor. Better than "
         "beforehand: combinations of link parameters with a smaller error than what is known of them anyway.",
-        sensors_table(choice), note(f"{sensor_title(choice)}."),
+        results.sensors_table(choice), note(f"{results.sensor_title(choice)}."),
         fold("Largest readings and ranges", terms(ranges)),
         fold("Expected 95 % intervals of every link parameter",
              ShownTable(["link parameter", "without", *candidates, "unit"], links, f"k nd{numbers} ku", "tight")),

@@ -18,18 +18,8 @@ from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, text_width, write
 from bayesid.report.diagnosis_figures import evidence, waterfall
 from bayesid.report.figures import NOISE, PREDICTED, add_legend, make_grid, styled
 from bayesid.report.page import below, cards, figure, how, lead, note, page, svg, warnings
-from bayesid.results.changes import (
-    Changes,
-    Watch,
-    gap_sentence,
-    next_experiment,
-    notes,
-    runners_up,
-    shares_sentence,
-    value_text,
-    verdict_sentence,
-    worded,
-)
+from bayesid.results import changes as results
+from bayesid.results.changes import Changes, Watch
 from bayesid.results.files import report_of
 from bayesid.rounding import DASH, HALF, channel_text, number, percent, unit_text
 from bayesid.section import Html, ShownSection, ShownTable
@@ -48,7 +38,7 @@ def changes_report(result: Changes) -> str:
     c = result.comparison
     problem, before = c.recording.problem, c.reference.problem.experiment
     places = [_place(result, p) for p in c.errors.places]
-    following = next_experiment(c)
+    following = results.next_experiment(c)
     sections = [
         *([ShownSection("What changed", [
             *(_change(x, c) for x in c.changes),
@@ -58,7 +48,7 @@ def changes_report(result: Changes) -> str:
         ])] if c.changes else []),
         ShownSection("The gap, and what closes it", [
             f"The recording was cut into {c.errors.segments} parts. Each was predicted from what the others say, in units of "
-            f"what the recording's own fit of the same model leaves: {gap_sentence(c)}.",
+            f"what the recording's own fit of the same model leaves: {results.gap_sentence(c)}.",
             figure(waterfall(_steps(c), c.errors.floor),
                    "Mean square of the residual on parts that were held out; numbers are its root. Green: what a step takes of "
                    "the gap."),
@@ -69,7 +59,7 @@ def changes_report(result: Changes) -> str:
             f"with friction of every joint free by {percent(FRICTION_SHARE, 2)} and drive gains by {percent(GAIN_SHARE, 2)}: "
             "so much they wander from day to day. The bars show what each alone adds to the log evidence; "
             f"{c.settings.accept:g} is asked for.",
-            *runners_up(c),
+            *results.runners_up(c),
             figure(svg(evidence_figure(result), "evidence"),
                    "Log evidence of each change on its own; line: what is asked for."),
         ], "Why that"),
@@ -87,8 +77,8 @@ def changes_report(result: Changes) -> str:
         how(*_how(result), seconds=result.seconds),
     ]  # fmt: skip
     opening = [
-        lead(f"**{verdict_sentence(c)}**"), cards(_cards(c)),
-        warnings(notes(c), "", "Know this before you use it"),
+        lead(f"**{results.verdict_sentence(c)}**"), cards(_cards(c)),
+        warnings(results.notes(c), "", "Know this before you use it"),
     ]  # fmt: skip
     kicker = f"What changed since the reference: from the {channel_text(problem.channel, problem.fitted)}"
     return page(f"{problem.experiment.name} since {before.name}", kicker, opening, sections)
@@ -96,11 +86,11 @@ def changes_report(result: Changes) -> str:
 
 def _change(x: NamedChange, c: ReferenceComparison) -> Html:
     """What one change is and its values."""
-    rows = [[*value_text(v), *([number(v.before)] if x.change.known else [])] for v in (*x.values, *x.derived)]
+    rows = [[*results.value_text(v), *([number(v.before)] if x.change.known else [])] for v in (*x.values, *x.derived)]
     head = ["parameter", "change", "± (95 %)", "interval", "unit", *["in the reference"] * x.change.known]
-    summary, share = x.change.effects[0].summary, shares_sentence(x, c)
+    summary, share = x.change.effects[0].summary, results.shares_sentence(x, c)
     text = f"{summary[0].upper()}{summary[1:]}.{f' {share}.' if share else ''}"
-    return below(worded(x.change, c), text, ShownTable(head, rows, f"k nb n n u{' n' * x.change.known}", "narrow"))
+    return below(results.worded(x.change, c), text, ShownTable(head, rows, f"k nb n n u{' n' * x.change.known}", "narrow"))
 
 
 def evidence_figure(result: Changes, ax: Any = None) -> Figure:
@@ -126,7 +116,7 @@ def _cards(c: ReferenceComparison) -> list[tuple[str, str, str]]:
     words, mood = _VERDICTS[c.verdict]
     large = [(words, f"since {c.reference.problem.experiment.name}", mood)]
     for x in c.changes[:2]:
-        name, text, half, _, unit = value_text(x.values[0])
+        name, text, half, _, unit = results.value_text(x.values[0])
         large.append((f"{text} ± {half} {unit}", f"{name} of {x.change.spec}", ""))
     for value, text in ((p.reference, "times the own fit's residual is left by the reference"), (p.after, "is left in the end")):
         large.append((f"{number(float(np.sqrt(value)), 3)} ×", text, ""))

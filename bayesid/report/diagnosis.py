@@ -21,33 +21,13 @@ from bayesid.diagnosis.separation import Visible
 from bayesid.drawing import Figures, figures_of
 from bayesid.effects import Effect
 from bayesid.recordings.complaints import listed
-from bayesid.report.diagnosis_figures import (
-    Views,
-    channels_figure,
-    described_figure,
-    diagnosis_views,
-    evidence,
-    push_course,
-    residual_maps,
-    signals,
-    waterfall,
-)
+from bayesid.report import diagnosis_figures as figures
+from bayesid.report.diagnosis_figures import Views
 from bayesid.report.excitation import PAIRS, motion_groups, motion_plot
 from bayesid.report.page import below, bullets, cards, figure, fold, how, lead, mood_of, note, page, svg, warnings
+from bayesid.results import diagnosis as results
 from bayesid.results.described import not_distinguished, shares, terms_of, use_line
-from bayesid.results.diagnosis import (
-    Diagnosis,
-    known_share,
-    notes,
-    parameter_rows,
-    part_sentence,
-    share_range,
-    shown_errors,
-    steady_sentence,
-    validation_sentence,
-    verdict_sentence,
-    which_motions,
-)
+from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.excitation import pair_table
 from bayesid.results.files import report_of
 from bayesid.results.fitted_model import placed
@@ -93,7 +73,7 @@ def described_section(data: DiagnosisData, description: Description) -> ShownSec
         f"{shares(d)}.",
         ShownTable(["reading", "amplitude", "± (95 %)", "times", "unit of the amplitude"], rows, "kb nb n - u", "narrow"),
         bullets(terms),
-        figure(svg(described_figure(data, d), "described"),
+        figure(svg(figures.described_figure(data, d), "described"),
                "What was measured less all the rest of the model, and what the term says, over the term's own "
                f"variable{unseen}"),
         note(f"A description is no name: another cause can leave the same trace. `{use_line(d)}`"),
@@ -103,7 +83,7 @@ def described_section(data: DiagnosisData, description: Description) -> ShownSec
 @report_of.register
 def diagnosis_report(diagnosis: Diagnosis) -> str:
     """The report of ``diagnose``: HTML with all figures inside."""
-    d, data, views = diagnosis, diagnosis.data, diagnosis_views(diagnosis)
+    d, data, views = diagnosis, diagnosis.data, figures.diagnosis_views(diagnosis)
     described = [] if d.description is None else [described_section(data, d.description)]
     moved = [_moved(d)] if d.found else []
     found = [_found(d)] if d.found else []
@@ -112,8 +92,8 @@ def diagnosis_report(diagnosis: Diagnosis) -> str:
         _noise_floor(d, views), _next(d), how(*_how(d), seconds=d.seconds, after="All numbers are in `diagnosis.json`."),
     ]  # fmt: skip
     opening = [
-        lead(f"**{verdict_sentence(d)}** {validation_sentence(d)}"), cards(_cards(d)),
-        warnings(notes(d), "", "Know this before you use it"),
+        lead(f"**{results.verdict_sentence(d)}** {results.validation_sentence(d)}"), cards(_cards(d)),
+        warnings(results.notes(d), "", "Know this before you use it"),
     ]  # fmt: skip
     name, readings = data.experiment.name, channel_text(data.channel, dict.fromkeys(s.motion for s in data.segments))
     tested = "" if d.gap is None else f", tested on {', '.join(d.gap.motions)}"
@@ -132,10 +112,10 @@ def _stays(d: Diagnosis) -> list[ShownSection]:
     held_out = held_out_text(d.data, d.part.held_out_parts)
     title = "What stays: next to nothing" if d.part.remainder < LEAST_GAP else f"What stays: {percent(d.part.remainder)}"
     return [ShownSection(title, [
-        f"{part_sentence(d)} What a real robot does beyond any model follows the motion, so readings that follow each other "
-        "do not count as independent, and an effect is named only if recordings that took no part are predicted better with "
-        "it than without.",
-        figure(waterfall(steps, floor, "noise" if floor else "noise, not known"),
+        f"{results.part_sentence(d)} What a real robot does beyond any model follows the motion, so readings that follow each "
+        "other do not count as independent, and an effect is named only if recordings that took no part are predicted better "
+        "with it than without.",
+        figure(figures.waterfall(steps, floor, "noise" if floor else "noise, not known"),
                f"Mean square of the residual on {held_out}, every channel in units of what the model as it "
                "was leaves of it; numbers are its root. Green: what an effect takes of the gap beside those above it."),
         *([_places(d.remainder, d.data.poses), note(still)] if d.remainder else []),
@@ -154,7 +134,7 @@ def _where(d: Diagnosis, views: Views) -> ShownSection:
         " A run at rest is the static recording of the same motion." if any("at rest" in p.title for p in views.panels) else ""
     )
     poses = d.data.poses
-    maps = residual_maps(views, channels, poses)
+    maps = figures.residual_maps(views, channels, poses)
     each = "pose by pose" if poses else "in windows of one second and by frequency"
     window = "pose" if poses else "window"
     over = " and pose, numbered in the order of the table" if poses else ", time and frequency"
@@ -209,16 +189,17 @@ def _found(d: Diagnosis) -> ShownSection:
         term, summary = f.term, f.term.effect.summary
         once = f"; it happened once, in {term.motion}" if isinstance(term, Episode) else ""
         rivals = ", ".join(f"**{t.effect.spec}** ({t.effect.summary})" for t, _ in f.rivals)
-        share = "" if d.part is None or d.shares(k) is None else share_range(d, k)
-        course = svg(push_course(term), "course") if isinstance(term, Push) else ""
+        share = "" if d.part is None or d.shares(k) is None else results.share_range(d, k)
+        course = svg(figures.push_course(term), "course") if isinstance(term, Push) else ""
         parts.append(below(
             placed(term.effect, d.data.robot),
             f"{summary[0].upper()}{summary[1:]}{once}.{f' Or, just as well: {rivals}.' if rivals else ''}",
-            ShownTable(["parameter", "value", "± (95 %)", "interval", "unit"], parameter_rows(d, k), "k nb n n u", "narrow"),
+            ShownTable(["parameter", "value", "± (95 %)", "interval", "unit"], results.parameter_rows(d, k), "k nb n n u",
+                       "narrow"),
             figure(course, "The force that was pushed with, in base axes, with its 95 % band. Its course is free: forces and "
                            "moments of every moment tell it. The values above hold its mean, and model.toml a constant force "
                            "of that."),
-            note(steady_sentence(f, d)),
+            note(results.steady_sentence(f, d)),
             note(f"Without it and with all others, {share} would be open again on {held_out}." if share else ""),
         ))  # fmt: skip
     end = note(
@@ -254,7 +235,7 @@ def _why(d: Diagnosis) -> ShownSection:
             f"the effect's parameters cost; an effect has to bring {d.needed:g} or more."
         )
     several = " Several can be high at once where their traces overlap: what decides is the exact fit, below." if d.found else ""
-    bars = evidence(
+    bars = figures.evidence(
         [p["spec"] for p in shown], np.array([p["evidence"] for p in shown]), [p["kind"] for p in shown], d.needed
     ) if shown else None  # fmt: skip
     rows = [
@@ -291,7 +272,7 @@ def _moved(d: Diagnosis) -> ShownSection:
 
 def _left(d: Diagnosis, views: Views) -> ShownSection:
     """What is left with the model as it was and as it is in the end."""
-    known, changed = all(e.before.noise_known for e in shown_errors(d)), views.changed
+    known, changed = all(e.before.noise_known for e in results.shown_errors(d)), views.changed
     in_noise = (
         "Residual of every channel in units of the noise (logarithmic axis), as identify leaves it with either model. The "
         "line is what a complete model would leave: noise, and what is not known of its fitted parameters."
@@ -303,12 +284,12 @@ def _left(d: Diagnosis, views: Views) -> ShownSection:
     poses = d.data.poses
     end = "the effects named" if d.found else "the best attempt"
     models = f", with the model as it was and with {end}" if changed else ""
-    where = "" if all(e.fitted for e in shown_errors(d)) else " on unseen motions"
+    where = "" if all(e.fitted for e in results.shown_errors(d)) else " on unseen motions"
     which = "pose by pose" if poses else "at the frequencies where it stands out"
     return ShownSection(f"{'Before and after' if changed else 'What is left'}{where}", [
-        which_motions(d),
-        figure(svg(channels_figure(d), "bars") if d.errors else "", in_noise if known else in_percent),
-        figure(svg(signals(views, poses), "signals"),
+        results.which_motions(d),
+        figure(svg(figures.channels_figure(d), "bars") if d.errors else "", in_noise if known else in_percent),
+        figure(svg(figures.signals(views, poses), "signals"),
                f"Left: measured and predicted in {views.signals[0].motion}, in the channels that disagreed most, "
                f"{which}{models}. Right: measured less predicted, on a scale of its own."),
         below(
@@ -403,7 +384,7 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
     words, mood = _VERDICTS[d.verdict]
     large = [(words, "the verdict", mood)]
     if d.errors:
-        e = max(shown_errors(d), key=lambda e: e.before.whitened_rms)
+        e = max(results.shown_errors(d), key=lambda e: e.before.whitened_rms)
         known = e.before.noise_known
         unit, sides = "noise" if known else "of the signal", [(e.before, "by the model as it was")]
         if e.after is not None:
@@ -417,8 +398,8 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
     if d.part is not None:
         held_out = held_out_text(d.data, d.part.held_out_parts)
         return [*large, (percent(d.part.remainder), f"of the gap on {held_out} stays unexplained", "")]
-    if d.found and d.gap is not None and (closed := known_share(d.gap.closed)):
-        low = known_share(d.gap.closed_low)
+    if d.found and d.gap is not None and (closed := results.known_share(d.gap.closed)):
+        low = results.known_share(d.gap.closed_low)
         least = f", at least {low} with 95 % confidence" if low else ""
         large.append((closed, f"of the gap to the floor is closed{least}", ""))
     return large
@@ -528,4 +509,4 @@ def _how(d: Diagnosis) -> list[tuple[str, str]]:
 
 @figures_of.register
 def _(result: Diagnosis) -> Figures:
-    return {"channels": partial(channels_figure, result)}
+    return {"channels": partial(figures.channels_figure, result)}

@@ -14,16 +14,8 @@ from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import WIDTH, Group, Panel, chart, key, key_width, limits, text_width, write
 from bayesid.report.check import recording
 from bayesid.report.page import bullets, cards, figure, fold, how, lead, note, page, warnings
-from bayesid.results.excitation import (
-    TRAJECTORY,
-    DistinguishingMotion,
-    Excitation,
-    block_length,
-    chance,
-    duration,
-    duration_text,
-    pair_table,
-)
+from bayesid.results import excitation as results
+from bayesid.results.excitation import TRAJECTORY, DistinguishingMotion, Excitation
 from bayesid.results.files import report_of
 from bayesid.rounding import DASH, number, percent
 from bayesid.section import Html, ShownSection, ShownTable
@@ -96,8 +88,8 @@ def distinguishing_report(result: DistinguishingMotion) -> str:
     """The report of ``excite --tell``: an HTML page with all figures inside."""
     t = result.telling
     large = [
-        (chance(t.probability), "probability that the true one alone is left", "good" if t.probability > 0.8 else "bad"),
-        (chance(t.wrong), "probability that a wrong one is", ""), (duration(t), t.label, ""),
+        (results.chance(t.probability), "probability that the true one alone is left", "good" if t.probability > 0.8 else "bad"),
+        (results.chance(t.wrong), "probability that a wrong one is", ""), (results.duration(t), t.label, ""),
         (str(t.tried), "motions compared", ""),
     ]  # fmt: skip
     weights = ", ".join(f"{n} {percent(w, 2)}" for n, w in zip(t.rivals, t.weights, strict=True))
@@ -110,7 +102,7 @@ def distinguishing_report(result: DistinguishingMotion) -> str:
     plot = motion_plot(t.trajectory, motion_groups(t.trajectory))
     drawn = figure(plot, f"Joint motion as in {TRAJECTORY}: it starts and ends at rest.")
     sections = [
-        ShownSection("Every pair", [recorded + sizes, pair_table(t), note(PAIRS)]),
+        ShownSection("Every pair", [recorded + sizes, results.pair_table(t), note(PAIRS)]),
         ShownSection("The motion", [drawn], "Motion"),
         ShownSection("Details", [bullets(t.notes), *how(seconds=result.seconds).parts]),
     ]
@@ -137,7 +129,7 @@ def excitation_report(result: Excitation) -> str:
     axis = {"d": "mean logarithm of the eigenvalues of the information, larger is better"}.get(
         result.criterion, "logarithm of the criterion, larger is better"
     )
-    blocks = [[f"{b.trajectory.name}.csv", block_length(b), b.shows] for b in result.blocks]
+    blocks = [[f"{b.trajectory.name}.csv", results.block_length(b), b.shows] for b in result.blocks]
     limits_ = [
         [_TITLES[u.kind], u.where, number(u.reached, 4), number(u.limit, 4), u.unit,
          percent(u.ratio) if u.kind != "collision" else DASH, ("yes", "good") if u.kept else ("no", "bad")]
@@ -255,7 +247,7 @@ def _static_run(result: Excitation) -> str | None:
     if run is None:
         return None
     text = (
-        f"{len(run.rows)} stops of one period take {duration_text(run.seconds)}: at each the robot settles for "
+        f"{len(run.rows)} stops of one period take {results.duration_text(run.seconds)}: at each the robot settles for "
         f"{number(result.options['settle'], 2)} s and is read for {number(result.options['read'], 2)} s. "
     )
     if run.every_sample:

@@ -16,19 +16,9 @@ from bayesid.design.identifiability import ALONE, COMBINATION, EFFECT, LETTERS, 
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.figures import CLASSES, GREY, list_rows, make_grid, place_legend, plain_log, styled
 from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, svg, terms, warnings
+from bayesid.results import identifiability as results
 from bayesid.results.files import report_of
-from bayesid.results.identifiability import (
-    Identifiability,
-    answer,
-    counts,
-    effect_lines,
-    motions_text,
-    own_std,
-    pair_table,
-    sets_table,
-    share,
-    spread,
-)
+from bayesid.results.identifiability import Identifiability
 from bayesid.rounding import DASH, number, percent
 from bayesid.section import Html, Part, ShownSection, ShownTable, tag
 
@@ -128,7 +118,7 @@ def identifiability_report(result: Identifiability) -> str:
         "Rank is the number of combinations of link parameters (masses, first moments, inertias) that these motions determine "
         "at all; no motion determines more than the next column says. Better than size: of how many the expected error is "
         "smaller than the body itself. Then how many parameters are in each class, as below. * these readings would be used.",
-        sets_table(result, counted=True),
+        results.sets_table(result, counted=True),
         figure(svg(classes(result.sensor_sets, main), "classes"), f"Every link parameter by what these motions show of it{each}"),
     ]))  # fmt: skip
     if result.separations:
@@ -137,14 +127,14 @@ def identifiability_report(result: Identifiability) -> str:
             "with it. Seen alone: by how many squared standard deviations the readings then differ from a model without "
             "left: from the best fit of the other. The probability is that the evidence rules the other out; told from: the "
             "share of the usual size from which it does so with 95 % probability.",
-            pair_table(result),
+            results.pair_table(result),
         ]))  # fmt: skip
     drawn = svg(expected(main), "expected") if main.base_parameters else ""
-    effects, unexcited = effect_lines(main), bullets(main.unexcited, sums=True)
+    effects, unexcited = results.effect_lines(main), bullets(main.unexcited, sums=True)
     prior = any(b.prior_share is not None for b in main.base_parameters)
     sections += [
         ShownSection(f"Expected errors: {title}", [
-            spread(main),
+            results.spread(main),
             figure(drawn, "Expected standard deviation of every combination, by the first parameter of each; the table has "
                           "them in full."),
             _combinations(main, prior),
@@ -154,17 +144,17 @@ def identifiability_report(result: Identifiability) -> str:
             *([below("Combinations that another motion would show", unexcited)] if main.unexcited else []),
         ], "Expected errors"),
         ShownSection(f"Every link parameter: {title}", [
-            Html("<p>" + "; ".join(f"{tag(k.replace('_', ' '))} {n} {escape(WORDS[k])}" for k, n in counts(main)) + ". The "
-                 "standard deviation is that of the parameter itself where it is identified alone, else of the combination "
+            Html("<p>" + "; ".join(f"{tag(k.replace('_', ' '))} {n} {escape(WORDS[k])}" for k, n in results.counts(main)) + ". "
+                 "The standard deviation is that of the parameter itself where it is identified alone, else of the combination "
                  "that it has most of.</p>"),
             _links(result),
         ], "Every link parameter"),
         how(*_how(result), seconds=result.seconds, packages=("numpy", "pin"),
             after="All numbers, the expected covariance of each sensor set too, are in `identifiability.json`."),
     ]  # fmt: skip
-    opening = [warnings(result.warnings), lead(answer(result)), cards(_cards(main))]
+    opening = [warnings(result.warnings), lead(results.answer(result)), cards(_cards(main))]
     what = {"regression": "given"}.get(result.source, result.source)
-    motions = f"motion{'s' if len(result.motions) > 1 else ''} {motions_text(result)}"
+    motions = f"motion{'s' if len(result.motions) > 1 else ''} {results.motions_text(result)}"
     kicker = f"What can be determined from the {what} {motions}, before estimating"
     return page(result.name, kicker, opening, sections, f"{result.name}: identifiability")
 
@@ -186,7 +176,7 @@ def _combinations(main: SetReport, prior: bool) -> ShownTable:
     sized = any(b.size for b in main.base_parameters)
     rows = []
     for k, b in enumerate(main.base_parameters):
-        size = [number(b.size, 3), share(b.std / b.size) if b.size else DASH] if sized else []
+        size = [number(b.size, 3), results.share(b.std / b.size) if b.size else DASH] if sized else []
         before = [DASH if b.prior_share is None else percent(b.prior_share, 2)] if prior else []
         rows.append([str(k + 1), b.label, number(b.std, 3), b.unit, *size, *before, b.kind])
     head = ["#", "combination", "expected ± std", "unit", *["size", "of size"] * sized, *["of prior std"] * prior, "class"]
@@ -202,7 +192,7 @@ def _links(result: Identifiability) -> ShownTable:
         better += [r.sensor_set.title for r in result.sensor_sets if r.sensor_set.name in link.sensor_sets][:1]
         combination = inside[0].label if inside and inside[0].label != link.name else ""
         more = f" (and {len(inside) - 1} more)" if len(inside) > 1 else ""
-        std, unit = (number(own_std(link, main), 3), inside[0].unit) if inside else (DASH, "")
+        std, unit = (number(results.own_std(link, main), 3), inside[0].unit) if inside else (DASH, "")
         if link.kind == NEVER:
             marks[len(rows)] = "dim"
         rows.append([link.name, link.kind.replace("_", " "), std, unit, combination + more, ", ".join(better) or DASH])
