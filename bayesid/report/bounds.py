@@ -118,14 +118,12 @@ def bounds_report(result: ControllerBounds) -> str:
     known, region, w = result.known, result.region, result.workspace
     robot, wrench = known.problem.experiment.robot, known.problem.channel == "wrench"
     names = [*result.torque_model.base.short_names, *region.names[result.torque_model.base.rank :]]
-    unseen = (
-        "A wrench sensor under the base or at the wrist cannot know them: forces inside a joint act on both of its sides and "
-    )
-    unseen += "cancel. "
+    unseen = "A wrench sensor under the base or at the wrist cannot know them: forces inside a joint act on both of its sides "
     inside = (
-        f"**Not in the bounds above:** the usual rotor inertia and friction in the last columns. {unseen * wrench}Their usual "
-        "sizes are guesses from the effort limits. For geared arms the reflected inertia of the rotors, gear ratio² × rotor "
-        "inertia, is often the largest term of the mass matrix: identify it from joint torques, or add the data sheet's value."
+        "**Not in the bounds above:** the usual rotor inertia and friction in the last columns. "
+        f"{f'{unseen}and cancel. ' * wrench}Their usual sizes are guesses from the effort limits. For geared arms the reflected "
+        "inertia of the rotors, gear ratio² × rotor inertia, is often the largest term of the mass matrix: identify it from "
+        "joint torques, or add the data sheet's value."
     )
     drawn = f", and {result.urdfs} files `sampled-….urdf` links drawn within the uncertainty" if result.urdfs else ""
     sections = [
@@ -194,14 +192,11 @@ def _lead(result: ControllerBounds) -> str:
 
 def _cards(result: ControllerBounds) -> list[tuple[str, str, str]]:
     w, region = result.workspace, result.region
+    mood = "good" if w.alpha < 0.5 else "fair" if w.alpha < 1 else "bad"
     large = [
         (number(region.rho, 3), "rho, radius of the ball (SI units)", ""),
         (number(region.ellipsoid, 3), "rho_V, radius of the ellipsoid", ""),
-        (
-            number(w.alpha, 3),
-            "alpha of computed torque, to be below 1",
-            "good" if w.alpha < 0.5 else "fair" if w.alpha < 1 else "bad",
-        ),
+        (number(w.alpha, 3), "alpha of computed torque, to be below 1", mood),
     ]
     if result.trajectories:
         name, t = result.trajectories[0].name, result.trajectories[0].torque

@@ -38,13 +38,7 @@ from bayesid.section import Cell, Part, ShownSection, ShownTable
 _BARS, _SHIFTS = 14, 12
 #: Two traces that share more than this part of their energy look alike until the effect is large.
 _ALIKE = 0.99
-_VERDICTS = {
-    "named": ("named", "good"),
-    "named_in_part": ("named in part", "fair"),
-    "ambiguous": ("ambiguous", "fair"),
-    "unknown": ("unknown", "bad"),
-    "nothing_missing": ("nothing missing", "good"),
-}
+_MOODS = {"named": "good", "named_in_part": "fair", "ambiguous": "fair", "unknown": "bad", "nothing_missing": "good"}
 
 
 #: Other formulas that a line lists.
@@ -381,8 +375,7 @@ def _next(d: Diagnosis) -> ShownSection:
 
 
 def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
-    words, mood = _VERDICTS[d.verdict]
-    large = [(words, "the verdict", mood)]
+    large = [(d.verdict.replace("_", " "), "the verdict", _MOODS[d.verdict])]
     if d.errors:
         e = max(results.shown_errors(d), key=lambda e: e.before.whitened_rms)
         known = e.before.noise_known

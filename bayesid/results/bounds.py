@@ -386,41 +386,50 @@ class ControllerBounds(ShownResult):
     def _parts(self) -> list[Part]:
         known = self.known
         title = f"{known.problem.experiment.name}: bounds for controllers from the {known.source} ({known.method})."
-        facts = [f"{name}: {text}" for name, text in self._facts()]
         warned = [f"warning: {w}" for w in self.warnings]
         bands: list[Part] = []
         for t in self.trajectories:
             bands += [f"{t.name}, joint torques: {bands_of(t.torque)}", band_table(t.torque)]
-        return [f"{title} {self.headline}", *warned, *facts, joints(self.workspace, self.inside), *bands]
+        return [f"{title} {self.headline}", *warned, *self._facts(), joints(self.workspace, self.inside), *bands]
 
     @property
     def headline(self) -> str:
-        """What the bounds hold of, and what that is conditional on."""
-        return headline(self.remainder, self.known.problem.fitted)
+        """What the bounds hold with probability 95 % of, and what that is conditional on."""
+        left, sets = self.remainder, "Sets of parameters hold with probability 95 %, given that the model is right"
+        if left is None:
+            return f"{sets}; no torques were recorded, so bands hold what parameters leave open and nothing that the model lacks."
+        named = ", ".join(left.motions)
+        if left.complete:
+            where = "which were not fitted" if left.held_out else "which were fitted"
+            return f"{sets}; so do bands: noise and parameters explain all that is left of {named}, {where}."
+        if left.held_out:
+            return (
+                f"{sets}. Pointwise bands of torques hold 95 % of the samples of motions like {named}, not fitted: what is left "
+                "there, which no parameter explains, is in them."
+            )
+        return (
+            f"{sets}. Pointwise bands of torques hold 95 % of the samples of motions like "
+            f"{', '.join(self.known.problem.fitted)}, with the robot as warm and worn as it was then: no motion was held out, so "
+            "nothing shows another kind of motion or another day."
+        )
 
-    def _facts(self) -> list[tuple[str, str]]:
-        """What there is to say in one line each: a name and a text."""
+    def _facts(self) -> list[str]:
+        """What there is to say in one line each."""
         region, w, left = self.region, self.workspace, self.remainder
         out = [
-            (
-                "parameters of the joint torques",
-                f"{len(region.values)}, all at once within {number(region.factor, 3)} standard deviations (box), "
-                f"rho_V {number(region.ellipsoid, 4)} (ellipsoid), rho {number(region.rho, 3)} (ball, SI units)",
-            ),
-            ("torque of the ball over that of the ellipsoid", f"{number(self.effort_ratio, 2)} times (median)"),
-            (
-                "mass matrix",
-                f"M_hat is {number(w.ratio[0], 3)} to {number(w.ratio[1], 3)} times M; alpha {number(w.alpha, 3)}"
-                + (" (of identified.urdf)" if w.of_urdf else "")
-                + ("" if w.alpha < 1.0 else ", not below 1: computed torque has no guarantee"),
-            ),
-            ("Coriolis", f"error {number(w.coriolis_error, 2)} of {number(w.coriolis, 3)} [N m s²]"),
-            ("every drawn mass matrix", f"positive definite; smallest eigenvalue {number(w.smallest_drawn, 3)}"),
+            f"parameters of the joint torques: {len(region.values)}, all at once within {number(region.factor, 3)} standard "
+            f"deviations (box), rho_V {number(region.ellipsoid, 4)} (ellipsoid), rho {number(region.rho, 3)} (ball, SI units)",
+            f"torque of the ball over that of the ellipsoid: {number(self.effort_ratio, 2)} times (median)",
+            f"mass matrix: M_hat is {number(w.ratio[0], 3)} to {number(w.ratio[1], 3)} times M; alpha {number(w.alpha, 3)}"
+            + (" (of identified.urdf)" if w.of_urdf else "")
+            + ("" if w.alpha < 1.0 else ", not below 1: computed torque has no guarantee"),
+            f"Coriolis: error {number(w.coriolis_error, 2)} of {number(w.coriolis, 3)} [N m s²]",
+            f"every drawn mass matrix: positive definite; smallest eigenvalue {number(w.smallest_drawn, 3)}",
         ]
         if left is not None:
             kind = "motions that were not fitted" if left.held_out else "the fitted motions"
             bounds = ", ".join(number(b, 3) for b in left.bound)
-            out.append(("other uncertainty", f"99 % of the torques of {kind} within {bounds}"))
+            out.append(f"other uncertainty: 99 % of the torques of {kind} within {bounds}")
         return out
 
 
@@ -434,26 +443,6 @@ def _for_matlab(t: TrajectoryBands) -> dict[str, Any]:
                 "pointwise_high": shown.pointwise_high, "factor": shown.factor, "extrapolation": shown.extrapolation,
             }  # fmt: skip
     return out
-
-
-def headline(left: Remainder | None, fitted: Sequence[str]) -> str:
-    """What the bounds hold with probability 95 % of, and what that is conditional on."""
-    sets = "Sets of parameters hold with probability 95 %, given that the model is right"
-    if left is None:
-        return f"{sets}; no torques were recorded, so bands hold what parameters leave open and nothing that the model lacks."
-    named = ", ".join(left.motions)
-    if left.complete:
-        where = "which were not fitted" if left.held_out else "which were fitted"
-        return f"{sets}; so do bands: noise and parameters explain all that is left of {named}, {where}."
-    if left.held_out:
-        return (
-            f"{sets}. Pointwise bands of torques hold 95 % of the samples of motions like {named}, not fitted: what is left "
-            "there, which no parameter explains, is in them."
-        )
-    return (
-        f"{sets}. Pointwise bands of torques hold 95 % of the samples of motions like {', '.join(fitted)}, with the robot as "
-        "warm and worn as it was then: no motion was held out, so nothing shows another kind of motion or another day."
-    )
 
 
 def joints(w: Workspace, inside: InsideJoints) -> ShownTable:
