@@ -6,7 +6,6 @@ import click
 
 import bayesid
 from bayesid.cli.options import EXPERIMENT, FILE, diagnosis_options, load, running
-from bayesid.cli.terminal import say
 
 
 @click.command()
@@ -24,8 +23,5 @@ def calibrate(experiment, reference, mass, mass_std, motions, effects, model, ef
             loaded, reference=known, mass=mass, mass_std=mass_std, motions=motions, effects=effects, seed=seed,
             progress=run.progress,
         )  # fmt: skip
-        report = run.write(result, loaded.name)
-    say(result)
-    if files := ", ".join(result.exports()):
-        say(f"gravity compensation: {files} in {report.parent}")
-    say(f"report: {report}")
+        files = ", ".join(result.exports())
+        run.finish(result, loaded.name, *[f"gravity compensation: {files} in {{folder}}"] * bool(files))

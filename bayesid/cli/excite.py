@@ -9,7 +9,6 @@ import click
 
 import bayesid
 from bayesid.cli import options as shared
-from bayesid.cli.terminal import say
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import load_experiment, load_setup
@@ -97,7 +96,4 @@ def excite(
             for name in (name for name, given in others.items() if given):
                 raise InputError(f"{name} is given with --tell; leave one of them out")
             result = bayesid.tell(setup, tell, chosen, seed=seed, progress=run.progress)
-        report = run.write(result, setup.name)
-    say(result)
-    say(f"trajectory: {report.with_name('trajectory.csv')}")
-    say(f"report: {report}")
+        run.finish(result, setup.name, "trajectory: {folder}/trajectory.csv")

@@ -55,9 +55,10 @@ class Run:
         self.progress("report")
         return result.write(self.folder(name))
 
-    def finish(self, result: Result, name: str) -> None:
-        """Write a result, and print it and where its report is once the verb is done."""
-        self.said.extend([result, f"report: {self.write(result, name)}"])
+    def finish(self, result: Result, name: str, *lines: str) -> None:
+        """Write a result; once the verb is done, print it, some lines on files in its ``{folder}``, and where its report is."""
+        report = self.write(result, name)
+        self.said.extend([result, *(line.format(folder=report.parent) for line in lines), f"report: {report}"])
 
     @contextlib.contextmanager
     def resumable(self, name: str) -> Iterator[Path]:

@@ -6,7 +6,6 @@ import click
 
 import bayesid
 from bayesid.cli.options import CHANNEL, EXPERIMENT, FILE, diagnosis_options, load, running
-from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 
 
@@ -42,8 +41,5 @@ def payload(
             loaded, channel, reference=known, motions=motions, effects=effects, joint=joint, frame=frame, extent=extent,
             target=target, diagnosis=diagnosis, seed=seed, progress=run.progress,
         )  # fmt: skip
-        report = run.write(result, loaded.name)
-    say(result)
-    if files := ", ".join(result.exports()):
-        say(f"for controllers: {files} in {report.parent}")
-    say(f"report: {report}")
+        files = ", ".join(result.exports())
+        run.finish(result, loaded.name, *[f"for controllers: {files} in {{folder}}"] * bool(files))
