@@ -266,7 +266,8 @@ class Model:
             return tuple((-each, 0.0 * each, 0.0 * each) for each in behind.T)
         key = ("slow torque", joint, self._key_without(families.PlayEffect))
         behind = lean(self.segment.joints.get(key, lambda: self._recorded.slow_torque(joint)))
-        moved = self._recorded.fitting.smoothed(behind)
+        fitting = self._recorded.fitting
+        moved = fitting.wanted.motion(fitting.whole.nearest(behind))  # smoothed as positions are
         return tuple((-moved[0][:, k], -moved[1][:, k], -moved[2][:, k]) for k in range(behind.shape[1]))
 
     @cached_property
@@ -364,8 +365,15 @@ class Model:
     @cached_property
     def torque_chain(self) -> TorqueChain:
         """What is read of the torques that joints take."""
-        late, gains = self.of_family(families.JointDelayEffect), self.of_family(families.JointGainEffect)
-        return TorqueChain.of(self.joints, self.transmission, len(self.channels), late, gains)
+        late: dict[int | None, float] = {}
+        for effect, values in self.of_family(families.JointDelayEffect):
+            for joint in self.joints if effect.joint is None else {effect.joint} & self.joints.keys():
+                late[joint] = late.get(joint, 0.0) + effect.delay(values)
+        gain = np.ones(len(self.channels))
+        for effect, values in self.of_family(families.JointGainEffect):
+            if effect.joint in self.joints:
+                gain[self.joints[effect.joint]] += effect.gain(values)
+        return TorqueChain(self.joints, self.transmission, late, gain)
 
     @cached_property
     def readout(self) -> Readout:

@@ -167,10 +167,6 @@ class Fitting:
         whole, there = Splines.over(times, bandwidth), Splines.over(times, bandwidth, wanted)
         return cls(splines, whole, there, _rests(times, encoders), float(np.median(np.diff(times))))
 
-    def smoothed(self, behind: np.ndarray) -> Motion:
-        """How far links are behind (M, ...) smoothed as positions are, with its rates, where it is wanted (N, ...) each."""
-        return self.wanted.motion(self.whole.nearest(behind))
-
 
 @dataclass(frozen=True, eq=False)
 class Behind:
@@ -259,12 +255,10 @@ class _JointFit:
     """The fit of one joint's link motion."""
 
     play: Sequence[tuple[PlayEffect, Sequence[float]]]  # what the joint has of it
-    splines: Sequence[Splines]  # of each level
+    fitting: Fitting  # what the encoders' samples are fitted with
     encoders: np.ndarray  # the joint's own (M,)
     torque: Callable[[Sequence[np.ndarray]], np.ndarray]  # the joint's (M,) along a motion of its link, three times (M,)
     inertia: np.ndarray  # that it feels, zero while it is at rest (M,)
-    still: np.ndarray  # whether no encoder moves (M,)
-    step: float  # time between samples [s]
 
     @classmethod
     def of(cls, recorded: Recorded, link: Sequence[np.ndarray], joint: int, play) -> _JointFit:
@@ -279,8 +273,7 @@ class _JointFit:
             return np.where(still, held, torque((moved[0], moved[1], moved[2]), only)[:, 0])
 
         felt = np.where(still, 0.0, recorded.inertia(joint))
-        fitting = recorded.fitting
-        return cls(play, fitting.splines, recorded.encoders[:, joint], taken, felt, still, fitting.step)
+        return cls(play, recorded.fitting, recorded.encoders[:, joint], taken, felt)
 
     @cached_property
     def sides(self) -> np.ndarray:
@@ -298,11 +291,11 @@ class _JointFit:
     @cached_property
     def slow(self) -> np.ndarray:
         """How far the link is behind (M,) by the torque of its slow motion."""
-        return self._level(self.splines[0], np.zeros(len(self.encoders)), *_ROUGHLY)
+        return self._level(self.fitting.splines[0], np.zeros(len(self.encoders)), *_ROUGHLY)
 
     def is_located(self, start: Behind | None) -> bool:
         """Whether encoders can show where the play is crossed; a start says how far the link is behind without a fit."""
-        finest = self.splines[-1]
+        finest = self.fitting.splines[-1]
         noise = np.std(self.encoders - finest.motion(finest.nearest(self.encoders))[0])
         return bool(np.abs(self.slow if start is None else start.values).max() > _LOCATED * noise)
 
@@ -311,14 +304,14 @@ class _JointFit:
 
         Where crossings were sought anew, they stay as they are, in the start's as well.
         """
-        finest = self.splines[-1]
+        finest = self.fitting.splines[-1]
         if start is not None:
             return Behind(self._level(finest, start.values, *_WELL, start.side), start.side)
         behind = self.slow
-        for splines in self.splines[1:]:
+        for splines in self.fitting.splines[1:]:
             behind = self._level(splines, behind, *(_WELL if splines is finest else _ROUGHLY))
-        where = intervals_that_stand_out(local_energy(finest.remainder(self.encoders - behind), self.step))
-        side = crossed_anew(self.encoders, behind, self.sides, finest, self.still, self.step, where)
+        where = intervals_that_stand_out(local_energy(finest.remainder(self.encoders - behind), self.fitting.step))
+        side = crossed_anew(self.encoders, behind, self.sides, finest, self.fitting.still, self.fitting.step, where)
         tried = [np.where(side >= 0, self.sides[side], behind)]
         if np.any(side >= 0):  # around them the fit is another one then, but not always a better one
             tried.append(self._level(finest, tried[0], *_WELL, side))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.effects.effect import Term
-from bayesid.effects.families import JointDelayEffect, JointGainEffect, JointMotion, TransmissionEffect
+from bayesid.effects.families import JointMotion, TransmissionEffect
 from bayesid.effects.flexible import Motion
 from bayesid.effects.segment import MotionSegment
 from bayesid.robot.robot import Robot
@@ -38,26 +38,6 @@ class TorqueChain:
     #: How long ago torques are read, by joint [s], where that is another time than that of the positions.
     delays: Mapping[int | None, float]
     gain: np.ndarray  # 1 + gain of each channel (c,)
-
-    @classmethod
-    def of(
-        cls,
-        joints: Mapping[int | None, int],
-        transmission: np.ndarray | None,
-        channels: int,
-        delays: Sequence[tuple[JointDelayEffect, Sequence[float]]],
-        gains: Sequence[tuple[JointGainEffect, Sequence[float]]],
-    ) -> TorqueChain:
-        """The chain with the effects that act in it, each with its values."""
-        late: dict[int | None, float] = {}
-        for effect, values in delays:
-            for joint in joints if effect.joint is None else {effect.joint} & joints.keys():
-                late[joint] = late.get(joint, 0.0) + effect.delay(values)
-        gain = np.ones(channels)
-        for effect, values in gains:
-            if effect.joint in joints:
-                gain[joints[effect.joint]] += effect.gain(values)
-        return cls(joints, transmission, late, gain)
 
     def at_motors(self, true: np.ndarray) -> np.ndarray:
         """True wrench and joint torques, or changes of them (N, c, ...), with what the motors give for the torques instead."""
