@@ -15,7 +15,6 @@ from bayesid.estimators import Estimate, Estimator, estimator
 from bayesid.estimators.conic.physical import against_nominal
 from bayesid.estimators.factor import channel_grams, pilot_of
 from bayesid.estimators.nonlinear import default_method, solve
-from bayesid.estimators.prior_check import PriorCheck
 from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
@@ -26,10 +25,10 @@ from bayesid.regression.problem import Problem, prepare, weight_columns
 from bayesid.results.identification import Identification, NotShown
 from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
-from bayesid.validation.agreement import Agreement, Alone, fits_alone, motions_apart, static_both_ways, wrench_against_torque
+from bayesid.validation.agreement import Alone, fits_alone, motions_apart, static_both_ways, wrench_against_torque
 from bayesid.validation.flexible import FlexibleModel, flexible_gaps
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
-from bayesid.validation.prediction import Prediction, predict
+from bayesid.validation.prediction import predict
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.urdf_links import missing_rotors, urdf_links
 from bayesid.workflows.warnings import contradictions, impossible_signs, incomplete, mistaken, of_fit, unusable
@@ -126,10 +125,9 @@ def identify(
         signs = impossible_signs(estimate, problem)
         mistakes = mistaken(problem, validation, bool(signs))
         of_rotors = missing_rotors(problem, estimate, method, options, links, bool(mistakes))
-    wrong = [*mistakes, *signs]
     of_links = [*(of_rotors if links.usable else []), *links.warnings()]
     no_use = (*unusable(problem, validation, mistakes), *(() if links.usable else of_rotors))
-    return Identification(
+    result = Identification(
         problem=problem,
         estimate=estimate,
         urdf=links,
@@ -138,13 +136,14 @@ def identify(
         static_alternative=alternative,
         offset=_offset(problem, estimate, links.unconstrained),
         not_shown=not_shown,
-        warnings=(*no_use, *_warnings(problem, estimate, check, wrong, of_links, validation, agreements, not_shown)),
+        warnings=no_use,
         seconds=clock.stop(),
         prior_check=check,
         unconstrained_urdf=unconstrained_urdf,
         floor=floor,
         unusable=no_use,
     )
+    return replace(result, warnings=(*no_use, *_warnings(result, [*mistakes, *signs], of_links)))
 
 
 def _beside(problem: Problem, method: Estimator, unseen: list[str]) -> tuple[Alone, NoiseFloor | None, FlexibleModel | None]:
@@ -235,18 +234,10 @@ def _of_what_is_not_shown(lost: NotShown) -> list[str]:
     return out
 
 
-def _warnings(
-    problem: Problem,
-    estimate: Estimate,
-    check: PriorCheck | None,
-    wrong: Sequence[str],
-    of_links: Sequence[str],
-    validation: Sequence[Prediction],
-    agreements: Sequence[Agreement],
-    not_shown: NotShown,
-) -> tuple[str, ...]:
+def _warnings(result: Identification, wrong: Sequence[str], of_links: Sequence[str]) -> tuple[str, ...]:
     """What the user should know, most important first."""
-    out = of_fit(problem, estimate, check, wrong, validation)
+    problem, estimate = result.problem, result.estimate
+    out = of_fit(problem, estimate, result.prior_check, wrong, result.validation)
     smoother = problem.smoother
     moving = not all(s.poses for name in problem.fitted for s in problem.segments[name])  # poses at rest have no bandwidth
     if moving and smoother.at_end and smoother.bandwidth >= 0.999 * smoother.automatic and smoother.reason != "as given":
@@ -256,12 +247,12 @@ def _warnings(
             f"than motion and white encoder noise up to there. Compare with {argument('bandwidth', half)}; a difference says "
             "that the estimate depends on it."
         )
-    out += contradictions(agreements)
+    out += contradictions(result.agreements)
     if estimate.details.model_complete is False:
         out.append(incomplete(estimate.details.dispersion, estimate.details.dispersion_by_channel))
     # What the estimator itself has to say, such as weak instruments.
     out += estimate.details.warnings
-    out += _of_what_is_not_shown(not_shown)
+    out += _of_what_is_not_shown(result.not_shown)
     out += of_links
     if estimate.links is not None and not problem.regression.knowledge.states_masses:
         out.append(
@@ -275,4 +266,4 @@ def _warnings(
             "above all the total mass, cannot be identified. Where a scale says the mass, state it "
             f"({argument('bounds', 'FILE')})."
         )
-    return problem.experiment.with_findings(out, validated=bool(validation))
+    return problem.experiment.with_findings(out, validated=bool(result.validation))

@@ -16,11 +16,10 @@ from bayesid.estimators import Estimate
 from bayesid.estimators.conic.physical import against_prior
 from bayesid.estimators.estimator import largest_autocorrelation
 from bayesid.estimators.nonlinear import settled
-from bayesid.estimators.prior_check import PriorCheck
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.predictive import predictive_groups
 from bayesid.posterior.result import PRIOR_DRIVEN, Posterior
-from bayesid.posterior.run import Chains, ConvergenceError, Sampler, choose_engine, run
+from bayesid.posterior.run import ConvergenceError, Sampler, choose_engine, run
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.linalg import condition_number
@@ -161,7 +160,8 @@ def sample(
             resume=sampler.resume, tell=clock.progress,
         )  # fmt: skip
         clock("prediction")
-        posterior = _with_predictions(model, result, seed, check, regression, problem, rel_std, clock)
+        posterior = Posterior(model, result, seed, prior_check=check)
+        posterior = _with_predictions(posterior, regression, problem, rel_std, clock)
     if not result.diagnosis.passed and not keep_going:
         error = ConvergenceError(
             f"the chains did not converge in {sampler.longest} times the usual length: {result.diagnosis.complaint()}; "
@@ -205,20 +205,11 @@ def _prior(regression: Regression, prior: str | Prior | None, std: float | None)
 
 
 def _with_predictions(
-    model: PosteriorModel,
-    result: Chains,
-    seed: int,
-    check: PriorCheck | None,
-    regression: Regression,
-    problem: Problem | None,
-    rel_std: float | None,
-    clock: Clock,
+    posterior: Posterior, regression: Regression, problem: Problem | None, rel_std: float | None, clock: Clock
 ) -> Posterior:
-    posterior = Posterior(model, result, seed, prior_check=check)
     if problem is None:
         extra = predictive_groups(posterior, regression.rows.blocks(), regression.rows.pilot(), (), regression.channel_names)
-        clock.stop()
-        return Posterior(model, result, seed, extra, check)
+        return replace(posterior, extra=extra)
     others = [m for m in problem.experiment.motions if m.name in problem.segments and m.name not in problem.fitted]
     judges = [m for m in others if m.role == "validation"]
     unseen = (problem.segments[m.name] for m in judges)
@@ -231,8 +222,9 @@ def _with_predictions(
     validation = tuple(replace(predict(problem, estimate, m, floor), flexible=gaps.get(m.name)) for m in judges)
     clock.stop()
     return ExperimentPosterior(
-        model, result, seed, extra, check, problem=problem, fitted=fitted, validation=validation, rel_std=rel_std,
-        warnings=_warnings(posterior, problem, estimate, validation), seconds=clock.seconds,
+        posterior.model, posterior.chains, posterior.seed, extra, posterior.prior_check, problem=problem, fitted=fitted,
+        validation=validation, rel_std=rel_std, warnings=_warnings(posterior, problem, estimate, validation),
+        seconds=clock.seconds,
     )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesid.design.excitation.limits import Limits
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
 from bayesid.design.tell.motions import Planned, pool, prolonged, varied, within_limits
@@ -270,14 +271,24 @@ def tell(
     scored = sorted(((merit(m), m) for m in pool(limits, asked.duration, tried, seed)), key=lambda x: -x[0])
     if not scored:
         return None
-    count, best = improved(scored[0], merit, lambda m, size, rng: varied(m, limits, size, rng), improvements, seed)
-    chosen = _telling(cases, contests(best[1]), best[1], benches[0].rate, len(scored) + count, notes, seed)
+    count, best = improved(scored[0], merit, limits, improvements, seed)
+
+    def telling(motion: Planned, found: Sequence[Contest]) -> Telling:
+        weights = np.mean([case.weights for case in cases], axis=0)
+        right, wrong = np.mean([c.decided(case.weights, seed) for c, case in zip(found, cases, strict=True)], axis=0)
+        return Telling(
+            tuple(r.name for r in cases[0].rivals), tuple(map(float, weights)), len(cases) == 1,
+            motion.trajectory(NAME, benches[0].rate), motion.label, float(right), float(wrong), _pairs(cases, found, seed),
+            len(scored) + count, notes,
+        )  # fmt: skip
+
+    chosen = telling(best[1], contests(best[1]))
     motions = [motion for _, motion in [best, *scored][:most]]
     if options is None and most and (longer := within_limits(prolonged(best[1]), limits)) is not None:
         motions.insert(1, longer)
     for k, motion in enumerate(motions):
         exact = [checked(c, case, b, motion) for c, case, b in zip(contests(motion), cases, benches, strict=True)]
-        found = _telling(cases, exact, motion, benches[0].rate, len(scored) + count, notes, seed)
+        found = telling(motion, exact)
         chosen = found if k == 0 or found.probability > chosen.probability else chosen
         if chosen.probability > _ENOUGH:
             break
@@ -285,11 +296,7 @@ def tell(
 
 
 def improved(
-    start: tuple[float, Planned],
-    merit: Callable[[Planned], float],
-    vary: Callable[[Planned, float, np.random.Generator], Planned | None],
-    steps: int,
-    seed: int,
+    start: tuple[float, Planned], merit: Callable[[Planned], float], limits: Limits, steps: int, seed: int
 ) -> tuple[int, tuple[float, Planned]]:
     """A motion changed at random again and again, by less and less; each change that is for the better stays.
 
@@ -300,7 +307,7 @@ def improved(
     for size in np.geomspace(_FIRST, _LAST, steps):
         if best[0] > _CERTAIN:
             break
-        changed = vary(best[1], float(size), rng)
+        changed = varied(best[1], limits, float(size), rng)
         if changed is None:
             continue
         count += 1
@@ -308,24 +315,6 @@ def improved(
         if value > best[0]:
             best = (value, changed)
     return count, best
-
-
-def _telling(
-    cases: Sequence[Case],
-    contests: Sequence[Contest],
-    motion: Planned,
-    rate: float,
-    tried: int,
-    notes: tuple[str, ...],
-    seed: int,
-) -> Telling:
-    """What is known of the chosen motion."""
-    weights = np.mean([case.weights for case in cases], axis=0)
-    chances = np.mean([c.decided(case.weights, seed) for c, case in zip(contests, cases, strict=True)], axis=0)
-    return Telling(
-        tuple(r.name for r in cases[0].rivals), tuple(map(float, weights)), len(cases) == 1, motion.trajectory(NAME, rate),
-        motion.label, float(chances[0]), float(chances[1]), _pairs(cases, contests, seed), tried, notes,
-    )  # fmt: skip
 
 
 def _pairs(cases: Sequence[Case], contests: Sequence[Contest], seed: int) -> tuple[RivalPair, ...]:
