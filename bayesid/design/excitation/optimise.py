@@ -31,6 +31,7 @@ from scipy.optimize import minimize, nnls
 
 from bayesid.design.excitation.information import Criterion, Information, JudgedQuantity
 from bayesid.design.excitation.limits import Limits, Motion
+from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.series import Coordinates, FourierSeries
 from bayesid.tasks import map_tasks, on_cluster
 
@@ -239,20 +240,14 @@ class TrajectorySearch:
 
 
 def search(
-    task: Task,
-    *,
-    warm: FourierSeries | None = None,
-    randoms: int = 40,
-    starts: int = 3,
-    seconds: float = 90.0,
-    seed: int = 0,
-    tell: Callable[[str], None] = lambda _: None,
+    task: Task, options: ExcitationOptions, warm: FourierSeries | None, seed: int, tell: Callable[[str], None]
 ) -> TrajectorySearch:
     """Find the best motion; an interrupt (Ctrl-C) ends the search, not the program.
 
-    ``randoms`` random feasible motions are judged, and ``starts`` of the best, and ``warm``, are improved; no further
-    improvement begins after so many seconds. ``best`` is None where no feasible motion was found.
+    Random feasible motions are judged, and the best of them, and ``warm``, are improved: of both as many as the options say, and
+    no further improvement begins after so many seconds. ``best`` is None where no feasible motion was found.
     """
+    randoms, starts, seconds = options.randoms, options.starts, options.seconds
     found, rng = TrajectorySearch(), np.random.default_rng(seed)
     pool: list[tuple[float, FourierSeries]] = []
     try:

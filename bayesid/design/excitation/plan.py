@@ -146,9 +146,7 @@ def make_plan(
     start = None if warm is None else fitted_series(warm.times, warm.positions, task.coordinates.period, options.harmonics)
     if start is not None:
         start = task.coordinates.series(task.coordinates.numbers(start))
-    found = search(
-        task, warm=start, randoms=options.randoms, starts=options.starts, seconds=options.seconds, seed=seed, tell=tell
-    )
+    found = search(task, options, start, seed, tell)
     if found.best is None:
         if found.interrupted:
             raise EstimationError("interrupted before any motion within all limits was found; let it run longer")
