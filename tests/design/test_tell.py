@@ -11,8 +11,22 @@ import pytest
 from bayesid.cli import main
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
-from bayesid.design.tell.choose import SeenInstruments, checked, contest, contest_on, tell, tell_effects, tell_search, unrecorded
-from bayesid.design.tell.motions import Planned, paces, pool, prolonged, varied, within_limits
+from bayesid.design.tell.choose import (
+    Planned,
+    SeenInstruments,
+    checked,
+    contest,
+    contest_on,
+    paces,
+    pool,
+    prolonged,
+    tell,
+    tell_effects,
+    tell_search,
+    unrecorded,
+    varied,
+    within_limits,
+)
 from bayesid.design.tell.rivals import Case, PredictedRows, from_effects, from_search, parse_effects, supposed
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data

@@ -24,8 +24,7 @@ import numpy as np
 import bayesid
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
-from bayesid.design.tell.choose import HOPELESS, NAME, SeenInstruments, checked, contest
-from bayesid.design.tell.motions import pool
+from bayesid.design.tell.choose import HOPELESS, NAME, SeenInstruments, checked, contest, pool
 from bayesid.design.tell.rivals import from_search
 from bayesid.diagnosis.verdict import evidence_of, verdict
 from bayesid.errors import InputError

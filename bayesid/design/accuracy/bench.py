@@ -257,12 +257,6 @@ def twin(bench: Bench, setting: Setting, seed: int) -> Experiment:
     return replace(bench.experiment, motions=tuple(motions), **_model(bench, setting))
 
 
-def fit_options(setting: Setting) -> FitOptions:
-    """How a twin is fitted: the setting's choices, with what its treatment of offsets asks for."""
-    static = {"subtracted": "motion", "joint": "joint"}.get(setting.offset, setting.options.static)
-    return replace(setting.options, static=static, effects=None)  # a twin's own model says which
-
-
 def _offsets(bench: Bench) -> tuple[Effect, ...]:
     """Constants of a sensor that every model has unless a static run removes them."""
     experiment, names = bench.experiment, bench.problem.row_model.channels.names

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from bayesid.design.accuracy.bench import Bench, Setting, fit_options, true_solution, twin
+from bayesid.design.accuracy.bench import Bench, Setting, true_solution, twin
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.effects import MotionSegment
 from bayesid.estimators import Estimate
@@ -111,7 +111,8 @@ class Errors:
 
 def fit_twin(bench: Bench, setting: Setting, recorded: Experiment, learned: Learned | None = None) -> tuple[Problem, Estimate]:
     """Fit a twin as its setting says; with what is learned already, bandwidth and weights are not looked for again."""
-    options = fit_options(setting)
+    static = {"subtracted": "motion", "joint": "joint"}.get(setting.offset, setting.options.static)
+    options = replace(setting.options, static=static, effects=None)  # a twin's own model says which
     if learned is not None:
         options = replace(options, bandwidth=learned.bandwidth)
     problem = prepare(recorded, options)
