@@ -19,7 +19,7 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.factor import gram_rows, reduce_rows, reduce_whitened
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.blocks import Block
-from bayesid.regression.linalg import condition_number, determined_inverse, undetermined
+from bayesid.regression.linalg import determined_inverse, undetermined
 from bayesid.regression.problem import fastest_rate, model_structure, row_step, smoother_of
 from bayesid.regression.readings import make_channels
 from bayesid.regression.row_model import RowModel
@@ -40,7 +40,6 @@ class Expected:
     factor: np.ndarray  # R (p, p), upper triangular: ``R'R`` is the information of all columns
     weighted: np.ndarray  # factor of the rows as a fit weights them (p, p): the same for white noise
     row_model: RowModel | None = None  # how samples become rows; None where the rows were given
-    segments: tuple[Segment, ...] = ()  # the motions that count
 
     def __repr__(self) -> str:
         return f"<Expected: {self.base.rank} base and {len(self.effect_names)} effect parameters>"
@@ -56,19 +55,9 @@ class Expected:
         return determined_inverse(self.factor, self.hidden)
 
     @property
-    def covariance(self) -> np.ndarray:
-        """Of base and effect parameters (p, p); zero in hidden columns, of which ``std`` is infinite."""
-        return self.inverse @ self.inverse.T
-
-    @property
     def std(self) -> np.ndarray:
         """Standard deviations (p,); infinite in hidden columns."""
         return np.where(self.hidden, np.inf, np.linalg.norm(self.inverse, axis=1))
-
-    @property
-    def condition_number(self) -> float:
-        """Of the weighted regressor with columns of unit length; infinite where columns depend on each other."""
-        return condition_number(self.weighted)
 
     @cached_property
     def base_factor(self) -> np.ndarray:
@@ -103,7 +92,7 @@ def expect(
     factor = weighted = np.zeros((model.base.rank + model.extra_columns,) * 2)
     if segments:
         factor, weighted = expected_factors(lambda: make_blocks(model, segments), noise.of(sensor_set))
-    return Expected(model.base, model.effect_names, model.effect_units, factor, weighted, model, tuple(segments))
+    return Expected(model.base, model.effect_names, model.effect_units, factor, weighted, model)
 
 
 def rows_of(

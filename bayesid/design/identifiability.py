@@ -288,20 +288,19 @@ def report_of(plan: PlannedMotions, sensor_set: SensorSet, noise: ReadingNoise, 
     spread = Prior.nominal(links, 2.0**0.5).covariance
     rel_std = experiment.inertia_rel_std
     prior = Prior.warped(links, rel_std).covariance if rel_std and states_masses(experiment.robot) else None
-    report = set_report(sensor_set, expected, found, richest, spread, prior)
     used = {"wrench": ("wrench",), "torque": ("torque",), "both": ("wrench", "torque")}[sensor_set.channel]
-    std = noise.of(sensor_set)["trajectory"].std.tolist()
-    return replace(
-        report, recorded=is_recorded(plan, sensor_set), noise={k: noise.sources[k] for k in used},
-        noise_std=dict(zip(channels.names, std, strict=True)),
-    )  # fmt: skip
+    sources = {k: noise.sources[k] for k in used}
+    std = dict(zip(channels.names, noise.of(sensor_set)["trajectory"].std.tolist(), strict=True))
+    report = set_report(sensor_set, expected, found, sources, std, richest, spread, prior)
+    return replace(report, recorded=is_recorded(plan, sensor_set))
 
 
 def set_report(
-    sensor_set: SensorSet, expected: Expected, found: Shown, richest: BaseParameters | None,
-    spread: np.ndarray | None, prior: np.ndarray | None, sizes: np.ndarray | None = None,
+    sensor_set: SensorSet, expected: Expected, found: Shown, noise: dict[str, str], noise_std: dict[str, float],
+    richest: BaseParameters | None = None, spread: np.ndarray | None = None, prior: np.ndarray | None = None,
+    sizes: np.ndarray | None = None,
 ) -> SetReport:  # fmt: skip
-    """A report from what is expected.
+    """A report from what is expected, of recorded readings.
 
     ``richest`` are the base parameters of the richest motion where it is known; ``spread`` the covariance of link parameters,
     each body uncertain by its own size (P, P), or without it ``sizes`` of the combinations (r,); ``prior`` the prior covariance
@@ -318,7 +317,7 @@ def set_report(
         for n, u, s in zip(expected.effect_names, expected.effect_units, expected.std[rank:], strict=True)
     ]
     return SetReport(
-        sensor_set=sensor_set, recorded=True, noise={}, noise_std={}, richest=richest,
+        sensor_set=sensor_set, recorded=True, noise=noise, noise_std=noise_std, richest=richest,
         condition_number=found.condition, parameters=tuple(links), base_parameters=bases,
         unexcited=() if richest is None else unseen(richest, found.without_effects), effects=tuple(effects),
         expected=expected, shown=found,

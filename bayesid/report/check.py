@@ -17,8 +17,8 @@ from bayesid.results.inspection import Inspection, MotionSummary
 from bayesid.robot import inertia
 from bayesid.rounding import DASH, counted, number, percent
 from bayesid.section import Part, ShownSection, ShownTable
-from bayesid.validation.headline import judged, useless
 from bayesid.validation.own_fit import left_text
+from bayesid.validation.prediction import judged, useless
 
 _LONGEST_NAME = 40
 _LINE = 14.0

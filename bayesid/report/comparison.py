@@ -19,8 +19,7 @@ from bayesid.results.loaded import LoadedComparison
 from bayesid.rounding import DASH, chance, channel_text, number, percent
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable
 from bayesid.validation.agreement import HausmanTest
-from bayesid.validation.headline import judged
-from bayesid.validation.prediction import BAND
+from bayesid.validation.prediction import BAND, judged
 
 #: From so many parameters they stand in two columns.
 _TWO_COLUMNS = 14

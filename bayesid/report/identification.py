@@ -22,8 +22,7 @@ from bayesid.results.identification import Identification
 from bayesid.robot import inertia
 from bayesid.rounding import DASH, chance, channel_text, ends, number, percent, with_interval
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable, tag
-from bayesid.validation.headline import judged, still_predictable, worse_than_nothing
-from bayesid.validation.prediction import BAND, Prediction
+from bayesid.validation.prediction import BAND, Prediction, judged, still_predictable, worse_than_nothing
 
 #: So many entries of a list are shown.
 _SHOWN = 8

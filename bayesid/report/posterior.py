@@ -21,8 +21,7 @@ from bayesid.results.loaded import LoadedPosterior
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.rounding import DASH, channel_text, ends, number, percent, with_half
 from bayesid.section import Html, Part, ShownSection, ShownTable, tag
-from bayesid.validation.headline import judged, still_predictable
-from bayesid.validation.prediction import BAND
+from bayesid.validation.prediction import BAND, judged, still_predictable
 
 _COLUMNS = 6
 _BINS = 36
@@ -248,7 +247,7 @@ def _narrowed(result: ExperimentPosterior) -> list[ShownSection]:
     if result.link_draws is not None:
         parts = [name.rpartition(".") for name in result.base.parameter_names]
         bodies = list(dict.fromkeys(body for body, _, _ in parts))
-        numbered = tuple(f"{bodies.index(body) + 1}.{kind}" for body, _, kind in parts)
+        numbered = [f"{bodies.index(body) + 1}.{kind}" for body, _, kind in parts]
         shares.append(("link parameters", numbered, result.link_prior_share))
     cut = ", cut to bodies that can exist" if model.physical else ""
     return [ShownSection("What came from the data, and what from the prior", [

@@ -20,9 +20,8 @@ from bayesid.results.fitted_model import UrdfLinks, filter_section, noise_sectio
 from bayesid.rounding import DASH, chance, channel_text, number, percent, with_interval
 from bayesid.section import Cell, Part, ShownSection, ShownTable
 from bayesid.validation.agreement import EstimatorDifference, HausmanTest
-from bayesid.validation.headline import judged
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
-from bayesid.validation.prediction import BAND, Prediction
+from bayesid.validation.prediction import BAND, Prediction, judged
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

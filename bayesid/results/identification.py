@@ -38,10 +38,9 @@ from bayesid.robot.urdf import write_urdf
 from bayesid.rounding import LEVEL
 from bayesid.section import as_html, as_text
 from bayesid.validation.agreement import Agreement
-from bayesid.validation.headline import over_noise, still_predictable
 from bayesid.validation.noise_floor import NoiseFloor
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
-from bayesid.validation.prediction import BAND, Prediction, predict, predict_elsewhere
+from bayesid.validation.prediction import BAND, Prediction, over_noise, predict, predict_elsewhere, still_predictable
 
 
 @dataclass(frozen=True)

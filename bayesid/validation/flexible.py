@@ -208,10 +208,9 @@ def _solved(
 class FlexibleGap:
     """What a flexible model does to the error on a motion that was not fitted."""
 
-    #: Root mean square of the residual rows of all channels below 10 Hz, by the estimate and with the flexible model on top.
-    before: float
-    after: float
-    removed: float  # share of the error that the flexible model removes; negative where it adds some
+    #: Share that the flexible model, on top of the estimate, removes of the error of all channels below 10 Hz; negative where it
+    #: adds some.
+    removed: float
     std: float  # its standard error, from the scatter between parts of the motion
 
     @property
@@ -359,14 +358,11 @@ def _gap(
             left[:, c] -= functions[:, columns[own]] @ found[own]
             left[:, c] -= rows.columns[:, c, columns[~own] - functions.shape[1]] @ found[~own]
     reduced = _band_powers(left, rows)
-    before, after = power.sum(), reduced.sum()
-    ratio = after / before
+    before = power.sum()
+    ratio = reduced.sum() / before
     # Of a ratio of sums, by its linearisation: d ratio = (d after - ratio d before) / before.
     spread = np.std(reduced - ratio * power, ddof=1) * np.sqrt(PARTS) / before
-    removed, rows_count = 1.0 - np.sqrt(ratio), len(residual)
-    std = spread / max(2.0 * np.sqrt(ratio), 1e-9)
-    rms = np.sqrt(np.array([before, after]) / rows_count)
-    return FlexibleGap(float(rms[0]), float(rms[1]), float(removed), float(std))
+    return FlexibleGap(float(1.0 - np.sqrt(ratio)), float(spread / max(2.0 * np.sqrt(ratio), 1e-9)))
 
 
 def _band_powers(values: np.ndarray, rows: _Rows) -> np.ndarray:

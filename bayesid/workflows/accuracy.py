@@ -10,7 +10,7 @@ import numpy as np
 from bayesid.arguments import argument, call
 from bayesid.design.accuracy.bench import Bench, make_bench
 from bayesid.design.accuracy.certificate import CoverageCertificate, certify, check_certifiable
-from bayesid.design.accuracy.sensor_choice import CandidateSensor, choose_sensor, read_sensors
+from bayesid.design.accuracy.sensor_choice import choose_sensor, read_sensors
 from bayesid.design.accuracy.susceptibility import susceptibility
 from bayesid.design.accuracy.sweeps import Sweeps, sweep
 from bayesid.errors import InputError
@@ -42,7 +42,7 @@ def accuracy(
     *,
     runs: int = 20,
     certificate: int = 0,
-    sensors: str | Path | Sequence[CandidateSensor] | None = None,
+    sensors: str | Path | None = None,
     nominal: bool = False,
     options: FitOptions | None = None,
     low_pass: LowPass | None = None,
@@ -73,7 +73,7 @@ def accuracy(
     certificate
         Twins that coverage is counted on; 0: none.
     sensors
-        Candidate sensors to compare before one is bought: a ``sensors.toml``, or what `read_sensors` made of one.
+        Candidate sensors to compare before one is bought: a ``sensors.toml``.
     nominal
         Take the nominal links for the true ones, instead of the estimated.
     seed
@@ -103,8 +103,7 @@ def accuracy(
         bench = _bench(experiment, method, options, nominal, clock)
         if certificate:
             check_certifiable(bench, certificate)
-        listed = isinstance(sensors, (str, Path))
-        candidates = read_sensors(sensors, bench.experiment.robot) if listed else tuple(sensors or ())
+        candidates = () if sensors is None else read_sensors(sensors, bench.experiment.robot)
         varied = None
         if runs:
             clock("simulating")

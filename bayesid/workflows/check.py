@@ -17,9 +17,9 @@ from bayesid.regression.problem import prepare
 from bayesid.regression.readings import default_channel, make_channels
 from bayesid.results.inspection import InspectedReadings, Inspection, MotionSummary
 from bayesid.signals.smoothing import smooth
-from bayesid.validation.headline import useless
 from bayesid.validation.mistakes.search import find_mistakes
 from bayesid.validation.own_fit import fit_and_predict
+from bayesid.validation.prediction import useless
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.warnings import lacks_drives, unpredicted, unusable
 

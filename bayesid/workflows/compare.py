@@ -27,9 +27,8 @@ from bayesid.results.fitted_model import impossible_bodies
 from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
 from bayesid.validation.agreement import HausmanTest, gaps, hausman, nominal_estimates
-from bayesid.validation.headline import useless
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
-from bayesid.validation.prediction import predict
+from bayesid.validation.prediction import predict, useless
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.urdf_links import urdf_links
 from bayesid.workflows.warnings import incomplete, mistaken, quoted, repeated_motions, unseen_effects, unusable

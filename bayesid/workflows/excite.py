@@ -117,8 +117,7 @@ def excite(
         check_blocks(chosen.blocks)
         plan = make_plan(experiment, chosen, warm, seed, clock.progress)
         clock("expected deviations")
-        result = _result(plan, clock)
-    return result
+        return _result(plan, clock)
 
 
 def _warm(given: str | Path, experiment: Experiment) -> Trajectory:

@@ -254,11 +254,11 @@ def _of_regression(regression: Regression, clock: Clock) -> Identifiability:
     found = shown(expected)
     sizes = np.abs(found.base.matrix @ np.linalg.pinv(regression.base.matrix) @ weights.solution[: regression.base.rank])
     rows = SensorSet("rows", "these rows", "rows")
-    report = set_report(rows, expected, found, None, None, None, sizes)
     source = "given" if regression.noise_std is not None else "readings"
     std = next(iter(weights.noise.values())).std.tolist()
     fitted = dict.fromkeys(regression.motion_names[b.motion] for b in regression.rows.pilot())
-    report = replace(report, noise={"rows": source}, noise_std=dict(zip(regression.channel_names, std, strict=True)))
+    stds = dict(zip(regression.channel_names, std, strict=True))
+    report = set_report(rows, expected, found, {"rows": source}, stds, sizes=sizes)
     return Identifiability(
         name="regression", source="regression", motions=dict.fromkeys(fitted, 0.0), still=(),
         sensor_sets=(report,), main=report, seconds=clock.stop(),

@@ -45,7 +45,7 @@ def read_recording(
     urdf: str | Path,
     *,
     validation: _Paths = (),
-    mapping: str | Path | ColumnMap | None = None,
+    mapping: str | Path | None = None,
     columns: Mapping[str, str | Sequence[str]] | None = None,
     units: Mapping[str, str] | None = None,
     scale: Mapping[str, float] | None = None,
@@ -121,7 +121,7 @@ def read_recording(
     InputError
         A file cannot be read, a column is not found or could be several, or what is recorded cannot be right.
     """
-    stated = mapping if isinstance(mapping, ColumnMap) else ColumnMap() if mapping is None else load_column_map(mapping)
+    stated = ColumnMap() if mapping is None else load_column_map(mapping)
     beside = dict(columns=columns, units=units, scale=scale, joints=joint_names, shift=shift)
     stated = replace(stated, **{key: {**getattr(stated, key), **more} for key, more in beside.items() if more})
     options = dict(topics=topics, mapped=stated.names(), episodes=episodes)

@@ -16,8 +16,7 @@ from bayesid.regression.problem import Problem
 from bayesid.regression.readings import has_readings
 from bayesid.section import powers
 from bayesid.validation.agreement import Agreement
-from bayesid.validation.headline import judged, useless
-from bayesid.validation.prediction import BAND, Prediction
+from bayesid.validation.prediction import BAND, Prediction, judged, useless
 
 _CERTAIN = 3.0  # standard deviations below zero
 

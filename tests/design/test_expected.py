@@ -86,7 +86,8 @@ def test_a_recordings_own_noise_gives_what_identify_states(tmp_path):
     expected = expect(made, sensor_set, noise, made.motions, bandwidth=bandwidth)
     np.testing.assert_allclose(expected.std, estimate.full_std, rtol=1e-4)
     white = {g: NoiseModel.stated(m.std) for g, m in noise.of(sensor_set).items()}
-    plain, _ = expected_factors(lambda: make_blocks(expected.row_model, expected.segments), white)
+    rows = rows_of(made, sensor_set, made.motions, bandwidth=bandwidth)
+    plain, _ = expected_factors(lambda: make_blocks(*rows), white)
     assert np.median(expected.std / np.sqrt(np.diag(np.linalg.inv(plain.T @ plain)))) > 1.2  # colour matters here
 
 

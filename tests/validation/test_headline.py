@@ -12,9 +12,8 @@ from bayesid.regression.problem import prepare
 from bayesid.robot.robot import load_robot
 from bayesid.signals.filters import LowPass
 from bayesid.validation.agreement import Agreement
-from bayesid.validation.headline import judged, over_noise, useless, worse_than_nothing
 from bayesid.validation.noise_floor import noise_floor
-from bayesid.validation.prediction import Prediction
+from bayesid.validation.prediction import Prediction, judged, over_noise, useless, worse_than_nothing
 from bayesid.workflows.warnings import contradictions, repeated_motions, unpredicted
 from tests.robots import ur5, write
 from tests.simulated import Motion, Sensor, experiment, fourier, recording

@@ -287,7 +287,7 @@ def _outlook(bench: Bench, candidate: CandidateSensor, rel_std: float) -> Outloo
     model, segments = rows_of(experiment, sensor_set, motions, effects=bench.options.effects, bandwidth=bandwidth)
     weigh = _weighting(bench, candidate, len(model.channels))
     factor = reduce_rows(make_blocks(model, segments), lambda b: _combined(weigh, b)[:, :, :-1]).r
-    expected = Expected(model.base, model.effect_names, model.effect_units, factor, factor, model, tuple(segments))
+    expected = Expected(model.base, model.effect_names, model.effect_units, factor, factor, model)
     determined = shown(expected)
     nominal = assumed_links(experiment.robot)
     prior = Prior.warped(nominal, rel_std).covariance

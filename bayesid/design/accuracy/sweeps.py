@@ -62,14 +62,6 @@ class SweptFactor:
     trials: tuple[Trial, ...]  # the others
 
 
-def all_factors(bench: Bench) -> tuple[SweptFactor, ...]:
-    """Every factor that such an experiment has."""
-    makers = (_noise, _resolution, _encoder, _rate, _length, _filter, _bandwidth, _velocity, _offset)
-    own = own_setting(bench)
-    factors = [make(bench, own) for make in makers]
-    return tuple(f for f in factors if f.trials)
-
-
 def _if_complete(bench: Bench, advice: str) -> str:
     """An advice that helps against noise, not against model error: empty where the model is incomplete."""
     return "" if bench.estimate.details.model_complete is False else advice
@@ -248,8 +240,9 @@ def median_ratio(errors: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 def sweep(bench: Bench, runs: int, seed: int, tell: Callable[[str], object]) -> Sweeps:
     """Vary one factor at a time, with ``runs`` twins of every level that is simulated."""
-    factors = all_factors(bench)
     own = own_setting(bench)
+    makers = (_noise, _resolution, _encoder, _rate, _length, _filter, _bandwidth, _velocity, _offset)
+    factors = [factor for make in makers if (factor := make(bench, own)).trials]  # those that such an experiment has
     settings: list[Setting] = [own]
     formula = isinstance(bench.method, LeastSquares)
     if formula:

@@ -37,7 +37,6 @@ class Clearance:
     #: Least distance of each pair (p,) [m]; distance that changes a ratio by one [m].
     margins: np.ndarray
     scale: float
-    notes: tuple[str, ...]  # what was left out, and why
     _collisions: _Collisions
 
     def __repr__(self) -> str:
@@ -150,7 +149,7 @@ def clearance(
     narrow = [f"{name} ({1000 * m:.1f} mm)" for name, m in zip(names, margins, strict=True) if m < margin]
     if narrow:
         notes = (*notes, f"Nearly everywhere nearer to each other than the margin, and kept apart by less: {', '.join(narrow)}.")
-    return Clearance(robot, names, carriers, margins, max(4.0 * margin, 0.05), notes, collisions), notes
+    return Clearance(robot, names, carriers, margins, max(4.0 * margin, 0.05), collisions), notes
 
 
 def _adjacent(robot: Robot, one: int, other: int) -> bool:

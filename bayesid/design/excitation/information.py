@@ -196,11 +196,6 @@ class Information:
         others = self._effect_columns(motion, step)
         return np.concatenate([x, others], axis=2).reshape(samples * len(self.std), -1)
 
-    def covariance(self, matrix: np.ndarray) -> np.ndarray:
-        """Expected covariance of the base parameters (r, r), with a scaled information matrix A."""
-        root = np.linalg.solve(np.linalg.cholesky(matrix), self.scale.T)
-        return root.T @ root
-
     def _rest(self, motion: Motion, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Scaled columns X - O B (n c, r), B (o, r) and the columns O (n c, o)."""
         regressor = self.kernel.dynamics(*motion, gravity=self.sensor_set.gravity)

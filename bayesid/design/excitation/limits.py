@@ -31,13 +31,9 @@ class LoadLimit:
     links: np.ndarray  # ten parameters a body (b, 10)
     kernel: Kernel  # the regressor's, of all link parameters
 
-    def readings(self, motion: Motion) -> np.ndarray:
-        """What the channels read (N, c) [N, N m]."""
-        return self.kernel.readings(*motion, self.links) + self.channels.static_wrench
-
     def ratios(self, motion: Motion) -> np.ndarray:
         """Readings as shares of their largest magnitude (N, c), with their signs."""
-        return self.readings(motion) / self.most
+        return (self.kernel.readings(*motion, self.links) + self.channels.static_wrench) / self.most
 
     def gradient(self, motion: Motion, weights: np.ndarray) -> Motion:
         """Derivatives of ``sum(weights * ratios)`` with respect to the motion."""

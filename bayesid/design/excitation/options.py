@@ -91,13 +91,7 @@ class ExcitationOptions:
     seconds: float = 60.0
 
     def __post_init__(self) -> None:
-        """Take a string for one name; check every number by itself and against the others.
-
-        Raises
-        ------
-        InputError
-            Which option, which value, and what to do.
-        """
+        """Take a string for one name; check every number by itself and against the others, with an `InputError`."""
         for name in ("quantities", "joints", "blocks"):
             object.__setattr__(self, name, names(getattr(self, name)))
         for name in _POSITIVE:

@@ -242,14 +242,11 @@ def half_interval(freedom: float) -> float:
 def about_centre(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Inertia about the centre of mass (6,) [kg m^2] and its derivatives with respect to the ten parameters (6, 10)."""
     m, h = parameters[0], parameters[1:4]
-
-    def six(matrix: np.ndarray) -> np.ndarray:
-        return matrix[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-
+    six = inertia.ROW, inertia.COLUMN
     shift = (h @ h) * np.eye(3) - np.outer(h, h)
     slopes = np.zeros((6, 10))
-    slopes[:, 0] = six(shift) / m**2
+    slopes[:, 0] = shift[six] / m**2
     for k, unit in enumerate(np.eye(3)):
-        slopes[:, 1 + k] = -six(2.0 * h[k] * np.eye(3) - np.outer(unit, h) - np.outer(h, unit)) / m
+        slopes[:, 1 + k] = -(2.0 * h[k] * np.eye(3) - np.outer(unit, h) - np.outer(h, unit))[six] / m
     slopes[:, 4:] = np.eye(6)
-    return parameters[4:] - six(shift) / m, slopes
+    return parameters[4:] - shift[six] / m, slopes
