@@ -182,10 +182,6 @@ def _bands(coefficients: np.ndarray, edges: np.ndarray) -> list[np.ndarray]:
     return np.split(coefficients, cuts)
 
 
-#: Rows of a block (k, channels, ...), weighted.
-Weighted = Callable[[Block, np.ndarray], np.ndarray]
-
-
 @dataclass(frozen=True)
 class _Draws:
     """Errors that the encoders make in the rows of a recording, or of pieces of it.
@@ -209,8 +205,11 @@ class _Draws:
         more = (regression.rows.count - poses) / max(moving, 1)
         return cls(blocks, law.misread(count, values), regressors, [1.0 if b.group == "poses" else more for b in blocks])
 
-    def mean_square(self, weighted: Weighted) -> np.ndarray:
-        """Mean square of what errors add to the right side, ``cov(X0' W'W U b) + m m'`` with ``m = E[U' W'W U b]`` (p, p)."""
+    def mean_square(self, weighted: Callable[[Block, np.ndarray], np.ndarray]) -> np.ndarray:
+        """Mean square of what errors add to the right side, ``cov(X0' W'W U b) + m m'`` with ``m = E[U' W'W U b]`` (p, p).
+
+        ``weighted`` weights rows of a block (k, channels, any).
+        """
         sums, mean = 0.0, 0.0
         for k, block in enumerate(self.blocks):
             p = block.matrix.shape[2]

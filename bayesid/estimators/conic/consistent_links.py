@@ -25,11 +25,12 @@ from scipy.stats import chi2
 from bayesid.errors import EstimationError
 from bayesid.estimators.conic.links import LinkData, LinkPrior, conic, misfit, nominal_prior
 from bayesid.estimators.conic.problem import solve_conic
-from bayesid.estimators.estimator import LEVEL, Estimate
+from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.factor import channel_grams
 from bayesid.regression.linalg import or_one, standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
+from bayesid.rounding import LEVEL
 
 #: Pseudo-inertias are at least this share of the nominal ones: then the mass matrix is, too, in every posture, and simulators,
 #: which compute principal inertias with rounding errors, find the triangle inequality met.
