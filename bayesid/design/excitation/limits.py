@@ -17,7 +17,6 @@ from bayesid.dynamics.regressor_gradient import regressor_gradient
 from bayesid.dynamics.regressors import Kernel
 
 Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
-KINDS = ("position", "velocity", "acceleration", "torque", "wrench", "collision")
 _BLOCK = 4096
 
 
