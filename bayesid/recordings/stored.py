@@ -75,8 +75,6 @@ class StoredTable:
     begins: np.ndarray  # time of that sample (parts,) [s]
     dropped: Mapping[int, np.ndarray]  # by part, rows that are left out for they have no reading or the time of the row before
     gaps: tuple[int, ...]  # samples that come after a gap
-    step: float  # the usual time between samples [s]
-    end: float  # time of the last sample [s]
     joints: int  # how many joints there are
     notes: tuple[str, ...] = ()  # what is to be said of the rows that are left out
 
@@ -223,8 +221,7 @@ def _scanned(layout: _Layout, parts: list[FilePart], joints: int) -> StoredTable
         "check the logger"
     )
     return StoredTable(
-        layout, tuple(kept), np.array(starts), np.array(begins), dropped, tuple(gaps), step, last.end, joints,
-        (note,) if lost else (),
+        layout, tuple(kept), np.array(starts), np.array(begins), dropped, tuple(gaps), joints, (note,) if lost else ()
     )  # fmt: skip
 
 

@@ -66,11 +66,6 @@ class Smoother:
         """Error of one position sample by what is stated, the count's and the random one together; 0 without a random one."""
         return float(np.hypot(self.resolution / 12.0**0.5, self.stated)) if self.stated else 0.0
 
-    @property
-    def spacing(self) -> float:
-        """Time between knots [s]."""
-        return 0.5 / self.bandwidth
-
 
 def smooth(
     times: np.ndarray, positions: np.ndarray, bandwidth: float, at: np.ndarray | None = None

@@ -39,7 +39,6 @@ class Signal:
     scales: tuple[float, ...]  # stated factors that it was multiplied with after its unit (k,); 1 where none is
     topic: str  # the stream's name; empty for a table
     clock: RowTimes  # of its stream
-    rows: np.ndarray  # which rows of the stream these are (N,)
     recorded: int  # rows of the stream that have a reading, repeated ones and those of a time that was there before included
     held: float = 1.0  # how many rows of the log hold each sample; 1 where every row is a sample
 
@@ -112,7 +111,7 @@ def make_signals(
             notes.append(f"{NAMES[quantity]}: times shifted by {shift:g} s, as stated")
         signal = Signal(
             quantity, tuple(f.ours for f in found), times, values[rows],
-            tuple(stream.full_name(f.column) for f in found), units, scales, stream.name, clock, rows,
+            tuple(stream.full_name(f.column) for f in found), units, scales, stream.name, clock,
             int(np.count_nonzero(~np.isnan(values).any(axis=1))),
         )  # fmt: skip
         signals.append(_without_held(signal) if held else signal)
@@ -189,4 +188,4 @@ def _without_held(signal: Signal) -> Signal:
         return signal
     new = np.append(True, (np.diff(signal.values, axis=0) != 0.0).any(axis=1))
     share = len(new) / max(int(new.sum()), 1)
-    return replace(signal, times=signal.times[new], values=signal.values[new], rows=signal.rows[new], held=share)
+    return replace(signal, times=signal.times[new], values=signal.values[new], held=share)

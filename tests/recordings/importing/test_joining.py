@@ -23,10 +23,8 @@ def signal(quantity: str, rate: float, start: float = 0.0, end: float = 10.0, ho
     times = times[(times < hole[0]) | (times >= hole[1])]
     ours = ("fx", "fy", "fz", "mx", "my", "mz") if quantity == "wrench" else (f"{quantity}1",)
     values = np.repeat(np.sin(W * times)[:, None], len(ours), axis=1)
-    clock, rows = RowTimes("header", "stamps", times, None), np.arange(len(times))
-    return Signal(
-        quantity, ours, times, values, ours, ("",) * len(ours), (1.0,) * len(ours), f"/{quantity}", clock, rows, len(times)
-    )
+    clock = RowTimes("header", "stamps", times, None)
+    return Signal(quantity, ours, times, values, ours, ("",) * len(ours), (1.0,) * len(ours), f"/{quantity}", clock, len(times))
 
 
 def test_readings_of_a_faster_topic_are_averaged_about_each_row():
