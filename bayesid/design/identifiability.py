@@ -22,9 +22,8 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.linalg import condition_number, determined_inverse, undetermined
 from bayesid.regression.readings import has_readings, make_channels
 from bayesid.robot import inertia
-from bayesid.robot.prior import Prior
+from bayesid.robot.prior import Prior, assumed_links, states_masses
 from bayesid.robot.robot import Robot
-from bayesid.robot.typical import assumed_links, states_masses
 from bayesid.simulation.trajectories import Trajectory
 
 ALONE, COMBINATION, WEAK, EFFECT, UNEXCITED, NEVER = "alone", "combination", "weak", "effect", "not_excited", "never_visible"

@@ -27,8 +27,7 @@ from bayesid.estimators.factor import reduce_whitened
 from bayesid.regression.linalg import pseudo_inverse
 from bayesid.regression.readings import make_channels
 from bayesid.regression.rows import make_blocks
-from bayesid.robot.prior import Prior
-from bayesid.robot.typical import states_masses
+from bayesid.robot.prior import Prior, states_masses
 
 #: Share of their usual amplitude about which readings are linearised: effects have columns for shapes, and none changes another.
 _HARDLY = 1e-3

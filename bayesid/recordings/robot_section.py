@@ -11,9 +11,9 @@ import numpy as np
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.schema import EffectParameters, RobotSection
+from bayesid.robot.prior import states_masses
 from bayesid.robot.robot import Robot, load_robot
 from bayesid.robot.sources import NAMED, locate
-from bayesid.robot.typical import states_masses
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
 
 #: What an effect's parameters are called in MJCF; where the first is absent or zero, so is the effect.

@@ -33,7 +33,7 @@ from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, MotionRows,
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import LongSegment, Segment
-from bayesid.robot.typical import states_masses, typical_links
+from bayesid.robot.prior import states_masses, typical_links
 from bayesid.signals.filters import row_noise_poles
 from bayesid.signals.smoothing import Smoother, choose_smoother
 

@@ -31,7 +31,7 @@ class PriorKnowledge:
     inertia_rel_std: float | None = None
     bodies: tuple[tuple[int, ...], ...] = ()  # columns of ``base.parameter_names`` that are a body's ten parameters
     effect_non_negative: tuple[bool, ...] = ()  # which effect parameters cannot be negative; empty: none
-    #: Where that model states no masses: about what links of these lengths weigh (P,), see `bayesid.robot.typical`.
+    #: Where that model states no masses: about what links of these lengths weigh (P,), see `bayesid.robot.prior`.
     guessed_links: np.ndarray | None = None
 
     @property

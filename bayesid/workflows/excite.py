@@ -26,8 +26,8 @@ from bayesid.recordings.experiment import Experiment, Sensor, as_experiment, loa
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel, has_readings, make_channels
 from bayesid.results.excitation import DistinguishingMotion, Excitation, LimitUse
+from bayesid.robot.prior import states_masses
 from bayesid.robot.robot import Robot
-from bayesid.robot.typical import states_masses
 from bayesid.simulation.simulation import simulate
 from bayesid.simulation.trajectories import Trajectory, fourier_trajectory, read_trajectory, recorded_trajectories
 from bayesid.tasks import cluster

@@ -14,7 +14,7 @@ from bayesid.estimators.nonlinear import solve
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.results.fitted_model import UrdfLinks, joint_dynamics
-from bayesid.robot.typical import states_masses, typical_links
+from bayesid.robot.prior import states_masses, typical_links
 
 _ROTORS = "rotor_inertia"
 

@@ -15,8 +15,8 @@ from bayesid.estimators.conic.consistent_links import LARGEST_LOSS, MARGIN, cons
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.robot import inertia
+from bayesid.robot.prior import states_masses, typical_links
 from bayesid.robot.robot import load_robot
-from bayesid.robot.typical import states_masses, typical_links
 from bayesid.simulation.simulation import perturbed_links
 from bayesid.workflows.identify import identify
 from tests.robots import ROBOTS, write

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import bayesid
+from bayesid.robot.prior import typical_links
 from bayesid.robot.robot import load_robot
-from bayesid.robot.typical import typical_links
 from tests.robots import ur5, write
 from tests.simulated import Motion, experiment, fourier, recording
 

@@ -37,9 +37,8 @@ from bayesid.regression.parallel import in_order
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
-from bayesid.robot.prior import Prior
+from bayesid.robot.prior import Prior, assumed_links
 from bayesid.robot.robot import Robot, load_robot
-from bayesid.robot.typical import assumed_links
 from bayesid.simulation.simulation import plant_readings
 
 KINDS = {

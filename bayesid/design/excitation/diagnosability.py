@@ -23,7 +23,7 @@ from bayesid.effects import Effect, MotionSegment, Term
 from bayesid.effects.exact import columns, readings
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
-from bayesid.robot.typical import assumed_links
+from bayesid.robot.prior import assumed_links
 
 #: Samples of a period; parts of a trace that count as nothing; shares up to which two traces count as different.
 _SAMPLES, _NOTHING, _SAME = 300, 1e-5, 1.0 - 1e-6

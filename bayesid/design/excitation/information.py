@@ -51,8 +51,8 @@ from bayesid.effects.sizes import reach
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.readings import make_channels
+from bayesid.robot.prior import assumed_links
 from bayesid.robot.robot import Robot
-from bayesid.robot.typical import assumed_links
 from bayesid.simulation.trajectories import read_trajectory
 
 CRITERIA = {

@@ -26,8 +26,8 @@ from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import EstimationError, InputError
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.readings import default_channel, make_channels
+from bayesid.robot.prior import states_masses
 from bayesid.robot.robot import motion_limits
-from bayesid.robot.typical import states_masses
 from bayesid.simulation.trajectories import Trajectory
 
 #: Damping ratio where none is known; it matters near the resonance only.

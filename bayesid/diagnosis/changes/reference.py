@@ -33,9 +33,8 @@ from bayesid.regression.linalg import or_one, pseudo_inverse
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, absorbed_offset, prepare
 from bayesid.regression.rows import make_blocks
-from bayesid.robot.prior import Prior
+from bayesid.robot.prior import Prior, states_masses, typical_links
 from bayesid.robot.robot import Robot
-from bayesid.robot.typical import states_masses, typical_links
 
 #: Share of a column that must be left beside the model's own for its amplitude in the reference to be asked for.
 _SEEN = 1e-4
