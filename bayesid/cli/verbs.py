@@ -74,17 +74,9 @@ class _Telling:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run the verb that the arguments name; every failure is shown in one line.
+    """Run the verb that the arguments name; every failure but a KeyboardInterrupt is shown in one line.
 
-    Returns
-    -------
-    status
-        0 done, 1 the work failed, 2 bad input or usage.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        Somebody asks it to stop.
+    The status is 0 (done), 1 (the work failed) or 2 (bad input or usage).
     """
     telling = _Telling()
     try:

@@ -71,15 +71,10 @@ def sweeps_figure(sweeps: Sweeps, ax: Any = None) -> Figure:
     return figure
 
 
-def _relative(level: Level, own: Level) -> np.ndarray:
-    """Error of every base parameter over the user's own."""
-    ratio = level.rms / np.maximum(own.rms, 1e-300)
-    return ratio[np.isfinite(ratio)]
-
-
 def _quantiles(level: Level, sweeps: Sweeps) -> tuple[float, float]:
-    """Range of the middle 80 % of the parameters, scaled as the median is."""
-    ratio = _relative(level, sweeps.own)
+    """Range of the middle 80 % of the parameters' errors over the user's own, scaled as the median is."""
+    ratio = level.rms / np.maximum(sweeps.own.rms, 1e-300)
+    ratio = ratio[np.isfinite(ratio)]
     if not len(ratio):
         return np.nan, np.nan
     scale = level.ratio / float(np.median(ratio))

@@ -129,7 +129,10 @@ def check_report(check: Inspection) -> str:
         ShownSection("Motions", [
             "Motions of role identification are fitted; those of role validation are never fitted: their prediction tests the "
             "estimate.",
-            _motions(check),
+            ShownTable(
+                ["motion", "role", "kind", "samples", "duration", "rate", "gaps", "columns", "static readings", "also"],
+                [_row(m) for m in check.motions], "b - - n n n n - - -",
+            ),
         ]),
         ShownSection("How far and how fast joints move", [
             figure(ranges, "Bars: positions that each motion reaches; grey: what the URDF allows. A joint that hardly moves "
@@ -252,11 +255,6 @@ def _bodies(check: Inspection) -> ShownTable:
         rows.append([f"{k + 1} {name}", *cells, exists])
     head = ["body of", "nominal mass [kg]", "centre of mass [m]", "principal inertias [kg m²]", "can exist"]
     return ShownTable(head, rows, "- n n n -")
-
-
-def _motions(check: Inspection) -> ShownTable:
-    head = ["motion", "role", "kind", "samples", "duration", "rate", "gaps", "columns", "static readings", "also"]
-    return ShownTable(head, [_row(m) for m in check.motions], "b - - n n n n - - -")
 
 
 def _row(m: MotionSummary) -> list[str]:

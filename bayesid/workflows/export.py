@@ -14,9 +14,8 @@ from bayesid.arguments import argument, call
 from bayesid.effects.built_in import CLASSES
 from bayesid.effects.families import SensorEffect
 from bayesid.errors import InputError
-from bayesid.results.export.identified import FoundEffect, IdentifiedRobot
+from bayesid.results.export.identified import FoundEffect, IdentifiedRobot, draws_of, randomisation
 from bayesid.results.export.inverse_dynamics import InverseDynamics, cpp_header, inverse_dynamics, numpy_module
-from bayesid.results.export.randomisation import draws_of, randomisation
 from bayesid.results.export.simulators import HELD, JointConstants, held, joint_constants, mjcf, sdf
 from bayesid.results.exported import Exported
 from bayesid.results.fitted_model import robot_of
