@@ -1,23 +1,7 @@
 """A payload in the form that each controller takes: units, frames and order of each maker's own document.
 
 Every function turns a `Load` into the text of one file. An inertia that is not known is left out, or zero (a point mass) where
-the format has no other way.
-
-============  ====================================================================  =======================================
-format        document                                                              file
-============  ====================================================================  =======================================
-``ur``        Universal Robots, *Script manual*, ``set_target_payload``             ``ur.script``
-``franka``    Franka, *RIDE CLI*, "End effector commissioning"                      ``endeffector-config.json``
-``kuka``      KUKA, *MA KR IONTEC V4*, "Load center of gravity and moment of        ``kuka.dat``
-              inertia", and the structure LOAD of KRL
-``xarm``      UFACTORY, *xArm-Python-SDK*, ``XArmAPI.set_tcp_load``                 ``xarm.py``
-``ros``       KTH, *force_torque_tools*, parameters of ``gravity_compensation``     ``gravity_compensation.yaml``
-``ros2``      ros-controls, *control_toolbox*, parameters of                        ``ros2_gravity_filter.yaml``
-              ``gravity_compensation_filter``
-``admittance``  ros-controls, *ros2_controllers*, ``admittance_controller``         ``ros2_admittance.yaml``
-============  ====================================================================  =======================================
-
-Addresses stand in docs/howto/payload.md.
+the format has no other way. Addresses of the makers' documents stand in docs/howto/payload.md.
 """
 
 from __future__ import annotations
@@ -63,7 +47,7 @@ class Format:
 def ur(load: Load) -> str:
     """URScript: kg, m from the tool mount, kg m^2 about the centre of mass as Ixx, Iyy, Izz, Ixy, Ixz, Iyz.
 
-    Without an inertia the controller takes a zero matrix.
+    Universal Robots, *Script manual*, ``set_target_payload``. Without an inertia the controller takes a zero matrix.
     """
     cog = _listed(load.centre)
     if load.inertia is None:
@@ -76,7 +60,8 @@ def ur(load: Load) -> str:
 def franka(load: Load) -> str:
     """JSON of an end effector: kg, m in the flange's frame, kg m^2 about the centre of mass as nine numbers by columns.
 
-    The tool's own frame (``transformation``, sixteen numbers by columns) is left at the flange.
+    Franka, *RIDE CLI*, "End effector commissioning". The tool's own frame (``transformation``, sixteen numbers by columns) is
+    left at the flange.
     """
     inertia = np.zeros((3, 3)) if load.inertia is None else load.inertia
     document = {
@@ -87,7 +72,10 @@ def franka(load: Load) -> str:
 
 
 def kuka(load: Load) -> str:
-    """KRL: kg, mm in the flange's frame, principal axes by angles A, B, C [deg] about z, y, x in turn, kg m^2 about these."""
+    """KRL: kg, mm in the flange's frame, principal axes by angles A, B, C [deg] about z, y, x in turn, kg m^2 about these.
+
+    KUKA, *MA KR IONTEC V4*, "Load center of gravity and moment of inertia", and the structure LOAD of KRL.
+    """
     moments, (a, b, c) = principal_axes(np.zeros((3, 3)) if load.inertia is None else load.inertia)
     x, y, z = 1e3 * load.centre
     return (
@@ -97,13 +85,16 @@ def kuka(load: Load) -> str:
 
 
 def xarm(load: Load) -> str:
-    """Python: kg, and mm in the flange's frame; the controller takes no inertia."""
+    """Python, UFACTORY, *xArm-Python-SDK*, ``XArmAPI.set_tcp_load``: kg, and mm in the flange's frame; it takes no inertia."""
     centre = ", ".join(f"{1e3 * c:.3f}" for c in load.centre)
     return f"arm.set_tcp_load({load.mass:.4f}, [{centre}])\n"
 
 
 def ros(load: Load) -> str:
-    """YAML of ROS 1: kg, m in the sensor's frame with no rotation, and the sensor's constant reading as bias."""
+    """YAML of ROS 1: kg, m in the sensor's frame with no rotation, and the sensor's constant reading as bias.
+
+    KTH, *force_torque_tools*, parameters of ``gravity_compensation``.
+    """
     centre, offset = _of_sensor(load)
     return _yaml({
         "bias": _listed(offset), "gripper_com_frame_id": load.sensor or "", "gripper_com_pose": _listed([*centre, 0.0, 0.0, 0.0]),
@@ -112,7 +103,10 @@ def ros(load: Load) -> str:
 
 
 def ros2(load: Load) -> str:
-    """YAML of ROS 2, a filter of a chain: kg, m in the sensor's frame, gravity in the world's frame [m/s^2]."""
+    """YAML of ROS 2, a filter of a chain: kg, m in the sensor's frame, gravity in the world's frame [m/s^2].
+
+    ros-controls, *control_toolbox*, parameters of ``gravity_compensation_filter``.
+    """
     centre, _ = _of_sensor(load)
     return _yaml({"world_frame": load.world, "sensor_frame": load.sensor or ""}) + "tool:\n" + _yaml({
         "  pos": _listed(centre), "  gravity_field": _listed(load.gravity), "  mass": _number(load.mass),
@@ -120,7 +114,7 @@ def ros2(load: Load) -> str:
 
 
 def admittance(load: Load) -> str:
-    """YAML of ROS 2, of the admittance controller: the weight [N], and m in the sensor's frame."""
+    """YAML of ROS 2, ros-controls, *ros2_controllers*, ``admittance_controller``: the weight [N], and m in the sensor's frame."""
     centre, _ = _of_sensor(load)
     weight = load.mass * float(np.linalg.norm(load.gravity))
     return (
