@@ -11,7 +11,6 @@ from matplotlib.ticker import MaxNLocator
 
 from bayesid.arguments import argument, call
 from bayesid.design.bounds.bands import FAR, Band
-from bayesid.design.bounds.region import Region
 from bayesid.design.bounds.remainder import Remainder
 from bayesid.design.bounds.workspace import Workspace
 from bayesid.drawing import Figures, figures_of
@@ -73,10 +72,12 @@ def band_figure(band: Band, channels: Sequence[str] | str | None = None, ax: Any
 
 
 @styled
-def parameter_figure(names: Sequence[str], region: Region, torque_per_unit: np.ndarray) -> Figure:
+def parameter_figure(result: ControllerBounds) -> Figure:
     """What each parameter moves in the fitted motions, and what its uncertainty does, in torque; the least certain first."""
-    moves = np.abs(region.values) * torque_per_unit
-    unsure = np.where(region.undetermined, 0.0, np.nan_to_num(region.factor * region.std)) * torque_per_unit
+    region, base = result.region, result.torque_model.base
+    names = [*base.short_names, *region.names[base.rank :]]
+    moves = np.abs(region.values) * result.torque_per_unit
+    unsure = np.where(region.undetermined, 0.0, np.nan_to_num(region.factor * region.std)) * result.torque_per_unit
     order = np.argsort(-unsure, kind="stable")[:_PARAMETERS]
     margin = 0.35 + 0.062 * max((len(names[k]) for k in order), default=0)
     figure, axes = make_grid(1, 1, max(len(order) * 0.22, 0.8), left=margin)
@@ -117,7 +118,6 @@ def bounds_report(result: ControllerBounds) -> str:
     """The report of ``bounds``: an HTML page with all figures inside."""
     known, region, w = result.known, result.region, result.workspace
     robot, wrench = known.problem.experiment.robot, known.problem.channel == "wrench"
-    names = [*result.torque_model.base.short_names, *region.names[result.torque_model.base.rank :]]
     unseen = "A wrench sensor under the base or at the wrist cannot know them: forces inside a joint act on both of its sides "
     inside = (
         "**Not in the bounds above:** the usual rotor inertia and friction in the last columns. "
@@ -138,7 +138,7 @@ def bounds_report(result: ControllerBounds) -> str:
                 f"{number(result.effort_ratio, 2)} times the torque of the ellipsoid's term u = −rho_V V Y′r / √(r′Y V Y′r), "
                 "median over states.",
             ]),
-            figure(svg(parameter_figure(names, region, result.torque_per_unit), "region"),
+            figure(svg(parameter_figure(result), "region"),
                    "The parameters whose uncertainty makes most torque: bars are half the box, circles the value itself, each "
                    "times what one unit of it moves."),
             _parameters(result),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from html import escape
 from typing import Any
@@ -36,12 +35,9 @@ _ROW = 0.2  # inches
 
 
 @styled
-def classes(reports: Sequence[SetReport], main: SetReport, ax: Any = None) -> Figure:
-    """The class of every link parameter, a panel for each sensor set: bodies downwards, their ten parameters across.
-
-    The title of ``main`` is set apart.
-    """
-    kinds = tuple(LOOKS)
+def classes(result: Identifiability, ax: Any = None) -> Figure:
+    """The class of every link parameter, a panel for each sensor set: bodies downwards, their ten parameters across."""
+    reports, main, kinds = result.sensor_sets, result.main, tuple(LOOKS)
     names = [p.name for p in main.parameters]
     bodies, across = by_body(names)
     across_page = min(len(reports), _COLUMNS) if ax is None else 1
@@ -119,7 +115,7 @@ def identifiability_report(result: Identifiability) -> str:
         "at all; no motion determines more than the next column says. Better than size: of how many the expected error is "
         "smaller than the body itself. Then how many parameters are in each class, as below. * these readings would be used.",
         results.sets_table(result, counted=True),
-        figure(svg(classes(result.sensor_sets, main), "classes"), f"Every link parameter by what these motions show of it{each}"),
+        figure(svg(classes(result), "classes"), f"Every link parameter by what these motions show of it{each}"),
     ]))  # fmt: skip
     if result.separations:
         sections.append(ShownSection("Telling effects apart", [
@@ -219,4 +215,4 @@ def _how(result: Identifiability) -> list[tuple[str, str]]:
 
 @figures_of.register
 def _(result: Identifiability) -> Figures:
-    return {"classes": partial(classes, result.sensor_sets, result.main), "expected": partial(expected, result.main)}
+    return {"classes": partial(classes, result), "expected": partial(expected, result.main)}

@@ -91,19 +91,21 @@ def predictive(
 
 
 @styled
-def narrowing(groups: Sequence[tuple[str, Sequence[str], np.ndarray]], driven: float) -> Figure:
-    """Posterior over prior standard deviation: what the data narrowed, and what they did not.
-
-    A group is the title, names and ratios (k,) of a panel; ``driven`` the ratio from which a parameter counts as driven by the
-    prior.
-    """
+def narrowing(result: ExperimentPosterior) -> Figure:
+    """Posterior over prior standard deviation: what the data narrowed, and what they did not."""
+    groups = [("base parameters", result.base.short_names, result.prior_share)]
+    if result.link_draws is not None:
+        parts = [name.rpartition(".") for name in result.base.parameter_names]
+        bodies = list(dict.fromkeys(body for body, _, _ in parts))
+        numbered = [f"{bodies.index(body) + 1}.{kind}" for body, _, kind in parts]
+        groups.append(("link parameters", numbered, result.link_prior_share))
     figure, axes = make_grid(len(groups), 1, 1.7, left=0.6)
     figure.subplots_adjust(hspace=0.85)
     for ax, (title, names, share) in zip(axes[:, 0], groups, strict=True):
         at = np.arange(len(share))
-        colours = [CLASSES["weak"] if s > driven else CYCLE[0] for s in share]
+        colours = [CLASSES["weak"] if s > _DRIVEN else CYCLE[0] for s in share]
         ax.bar(at, np.minimum(share, 1.1), width=0.75, color=colours, lw=0)
-        ax.axhline(driven, color=CLASSES["weak"], lw=0.9, ls="--")
+        ax.axhline(_DRIVEN, color=CLASSES["weak"], lw=0.9, ls="--")
         ax.axhline(1.0, color=GREY, lw=0.8)
         ax.set(xlim=(-0.7, len(share) - 0.3), ylim=(0.0, 1.12), title=title, ylabel="posterior / prior std")
         ax.set_xticks(at, names, rotation=90, fontsize=6 if len(share) > 45 else 7)
@@ -113,11 +115,13 @@ def narrowing(groups: Sequence[tuple[str, Sequence[str], np.ndarray]], driven: f
 
 
 @styled
-def ranks(names: Sequence[str], draws: np.ndarray) -> Figure:
-    """Ranks of each chain's draws (chains, draws, k) among all: alike and level where the chains agree."""
-    chains, count, numbers = draws.shape
-    figure, axes = make_grid(1, numbers, 1.5, left=0.35, gap=0.3)
-    for k, ax in enumerate(axes[0]):
+def ranks(result: ExperimentPosterior) -> Figure:
+    """Ranks of each chain's draws among all of the numbers with the largest R-hat: alike and level where the chains agree."""
+    draws = np.concatenate([result.chains.draws, result.base_draws], axis=-1)
+    names, worst = (*result.model.names, *result.names), np.argsort(-result.diagnosis.r_hat)[:_RANKED].tolist()
+    chains, count, _ = draws.shape
+    figure, axes = make_grid(1, len(worst), 1.5, left=0.35, gap=0.3)
+    for k, ax in zip(worst, axes[0], strict=True):
         order = np.argsort(np.argsort(draws[:, :, k].ravel())).reshape(chains, count)
         edges = np.linspace(0, chains * count, _RANKS + 1)
         level = count / _RANKS
@@ -163,7 +167,7 @@ def posterior_report(result: ExperimentPosterior) -> str:
         ShownSection("Did the chains converge", [
             "Chains start far apart and know nothing of each other. R-hat compares them: 1 when they cannot be told apart. The "
             "effective sample size is the number of independent draws that would be as good, in the bulk and in the tails.",
-            figure(svg(ranks(*_worst(result)), "ranks"),
+            figure(svg(ranks(result), "ranks"),
                    "Ranks of each chain's draws among all draws, for the numbers with the largest R-hat: level and alike where "
                    "chains agree."),
             fold(f"R-hat and effective sample sizes of all {len(d.names)} numbers",
@@ -243,18 +247,12 @@ def _narrowed(result: ExperimentPosterior) -> list[ShownSection]:
     model = result.model
     if model.prior is None:
         return []
-    shares = [("base parameters", result.base.short_names, result.prior_share)]
-    if result.link_draws is not None:
-        parts = [name.rpartition(".") for name in result.base.parameter_names]
-        bodies = list(dict.fromkeys(body for body, _, _ in parts))
-        numbered = [f"{bodies.index(body) + 1}.{kind}" for body, _, kind in parts]
-        shares.append(("link parameters", numbered, result.link_prior_share))
     cut = ", cut to bodies that can exist" if model.physical else ""
     return [ShownSection("What came from the data, and what from the prior", [
         f"Posterior over prior standard deviation. Near zero the data decide; near one (orange) the prior does{cut}. Single "
         "link parameters can stay the prior's even where every base parameter is well known: many links "
         "have the same base parameters.",
-        figure(svg(narrowing(shares, _DRIVEN), "narrowing"),
+        figure(svg(narrowing(result), "narrowing"),
                "Above: base parameters. Below: the ten parameters of every body, by the body's number."),
     ], "Prior and data")]  # fmt: skip
 
@@ -308,14 +306,6 @@ def _predictions(result: ExperimentPosterior) -> list[Part]:
                    "What is left, in time and by frequency; the green band is where noise alone would be 95 % of the time."),
         ))  # fmt: skip
     return parts
-
-
-def _worst(result: ExperimentPosterior) -> tuple[list[str], np.ndarray]:
-    """The numbers with the largest R-hat, with their draws."""
-    every = np.concatenate([result.chains.draws, result.base_draws], axis=-1)
-    names = (*result.model.names, *result.names)
-    order = np.argsort(-result.diagnosis.r_hat)[:_RANKED]
-    return [names[k] for k in order], every[..., order]
 
 
 def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
