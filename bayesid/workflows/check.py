@@ -173,25 +173,19 @@ def _sensor_sets(experiment: Experiment) -> tuple[InspectedReadings, ...]:
     at_rest = wrench and all(m.kind == "poses" for m in fitted)
     stopped = wrench and all(m.stop_and_go for m in fitted)
     poses = wrench and any(m.static is not None for m in fitted)
-    sets = []
-    if experiment.sensor is not None:
-        channels = make_channels(experiment, "wrench")
-        cases = [
-            ("the wrench of poses at rest, with an unknown sensor offset", at_rest, dict(offset=True, at_rest=True)),
-            ("the wrench, with an unknown sensor offset", wrench and not at_rest, dict(offset=True)),
-            ("the wrench and readings at rest fitted along, offset unknown", poses, dict(offset=True)),
-            ("the motion wrench: readings at rest subtracted sample by sample", stopped, dict(gravity=False)),
-            ("the wrench of a sensor without offset", False, {}),
-        ]
-        sets += [
-            (name, channels, here, options)
-            for name, here, options in cases
-            if here or options.get("at_rest") is None and "along" not in name
-        ]
-    sets.append(("the joint torques", make_channels(experiment, "torque"), torque, {}))
-    if experiment.sensor is not None:
-        both = make_channels(experiment, "both")
-        sets.append(("wrench and torques, with an unknown sensor offset", both, wrench and torque, dict(offset=True)))
+    # What is read, in which channel, whether it was, and what is known of offset and gravity.
+    cases = [
+        ("the wrench of poses at rest, with an unknown sensor offset", "wrench", at_rest, dict(offset=True, at_rest=True)),
+        ("the wrench, with an unknown sensor offset", "wrench", wrench and not at_rest, dict(offset=True)),
+        ("the wrench and readings at rest fitted along, offset unknown", "wrench", poses, dict(offset=True)),
+        ("the motion wrench: readings at rest subtracted sample by sample", "wrench", stopped, dict(gravity=False)),
+        ("the wrench of a sensor without offset", "wrench", False, {}),
+        ("the joint torques", "torque", torque, {}),
+        ("wrench and torques, with an unknown sensor offset", "both", wrench and torque, dict(offset=True)),
+    ]
+    read_only = cases[0], cases[2]  # shown where they were read
+    shown = [c for c in cases if (c[2] or c not in read_only) and (c[1] == "torque" or experiment.sensor is not None)]
     return tuple(
-        InspectedReadings(name, structural_base(experiment.robot, c, **options), here) for name, c, here, options in sets
+        InspectedReadings(name, structural_base(experiment.robot, make_channels(experiment, channel), **options), here)
+        for name, channel, here, options in shown
     )
