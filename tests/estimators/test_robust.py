@@ -13,9 +13,8 @@ from scipy.stats import chi2, multivariate_t, norm
 
 from bayesid.errors import InputError
 from bayesid.estimators import fit
-from bayesid.estimators.robust.losses import HuberLoss, StudentLoss
 from bayesid.estimators.robust.m_estimators import Huber, Student
-from bayesid.estimators.robust.segments import Metric, accepted, residuals
+from bayesid.estimators.robust.segments import HuberLoss, Metric, StudentLoss, accepted, residuals
 from bayesid.regression.blocks import Block
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import Regression

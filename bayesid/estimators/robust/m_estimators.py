@@ -1,10 +1,10 @@
 """Robust estimators, for recordings with contacts and impacts: Huber's loss and Student's t.
 
-Both are iteratively reweighted least squares and differ in their losses (`bayesid.estimators.robust.losses`).
+Both are iteratively reweighted least squares and differ in their losses.
 
 All channels of a segment of neighbouring rows share one weight w, which the Mahalanobis length of the segment's residuals
-gives (`bayesid.estimators.robust.losses`). Windows that grow from segments of hardly any weight are rejected in time
-(`bayesid.estimators.robust.segments`), all the others enter a weighted least squares in the channels' metric D,
+gives, and windows that grow from segments of hardly any weight are rejected in time (`bayesid.estimators.robust.segments`). All
+the others enter a weighted least squares in the channels' metric D,
 
     min_b  sum_t w_t |D (y_t - X_t b)|^2,
 
@@ -31,9 +31,12 @@ from bayesid.estimators.estimator import Details, Estimate
 from bayesid.estimators.factor import Factor, gram_rows, reduce_rows, whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal
 from bayesid.estimators.robust.divergence import Directions, ResidualSizes, informative, reasons
-from bayesid.estimators.robust.losses import WHOLE, HuberLoss, Loss, StudentLoss
 from bayesid.estimators.robust.segments import (
+    WHOLE,
+    HuberLoss,
+    Loss,
     Residuals,
+    StudentLoss,
     accepted,
     lengths,
     metrics,
