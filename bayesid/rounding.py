@@ -37,11 +37,6 @@ def with_half(value: float, half: float | None) -> tuple[str, str]:
     return _alike(value, half, half=half)
 
 
-def interval(value: float, half: float) -> str:
-    """The interval's ends, to the second digit of half its width."""
-    return ends(value - half, value + half)
-
-
 def ends(low: float, high: float) -> str:
     """Both ends of an interval, to the second digit of half its width."""
     half = 0.5 * (high - low)

@@ -16,7 +16,7 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.results.files import SCHEMA, Files, ShownResult, strict
 from bayesid.results.fitted_model import placed
-from bayesid.rounding import DASH, HALF, channel_text, interval, number, percent, unit_text, with_half
+from bayesid.rounding import DASH, HALF, channel_text, ends, number, percent, unit_text, with_half
 from bayesid.section import Cell, ShownTable, as_html, powers
 from bayesid.validation.own_fit import left_dict
 from bayesid.validation.prediction import Prediction
@@ -194,7 +194,7 @@ def value_text(v: Value) -> tuple[str, str, str, str, str]:
     """Name, change, half the 95 % interval, the interval and the unit of a parameter."""
     half = HALF * v.std
     text, spread = with_half(v.value, half)
-    return v.name, text, spread, interval(v.value, half), unit_text(v.unit)
+    return v.name, text, spread, ends(v.value - half, v.value + half), unit_text(v.unit)
 
 
 def shares_sentence(x: NamedChange, comparison: ReferenceComparison) -> str:

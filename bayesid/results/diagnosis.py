@@ -30,7 +30,7 @@ from bayesid.results.described import DRAFT, described_lines, description_dict, 
 from bayesid.results.excitation import NEXT_MOTION, telling_dict
 from bayesid.results.files import SCHEMA, Files, ShownResult
 from bayesid.results.fitted_model import fitted_model, placed
-from bayesid.rounding import DASH, HALF, channel_text, interval, number, percent, unit_text, with_half
+from bayesid.rounding import DASH, HALF, channel_text, ends, number, percent, unit_text, with_half
 from bayesid.section import Part, ShownTable, as_html, powers
 from bayesid.simulation.trajectories import write_trajectory
 from bayesid.validation.own_fit import MotionErrors
@@ -519,7 +519,7 @@ def parameter_rows(diagnosis: Diagnosis, index: int) -> list[tuple[str, str, str
         half = HALF * float(std)
         known = np.isfinite(half) and half > 0.0
         text, spread = with_half(value, half) if known else (NOT_DETERMINED, DASH)
-        rows.append((key, text, spread, interval(value, half) if known else DASH, unit_text(unit)))
+        rows.append((key, text, spread, ends(value - half, value + half) if known else DASH, unit_text(unit)))
     return rows
 
 
