@@ -16,12 +16,7 @@ from bayesid.recordings.experiment import load_experiment, load_setup
 _DEFAULT = {item.name: item.default for item in fields(ExcitationOptions)}
 
 
-def _numbers(_context, parameter, value: str | None) -> tuple[float, ...] | None:
-    """Numbers that commas separate."""
-    try:
-        return None if value is None else tuple(float(part) for part in value.split(","))
-    except ValueError:
-        raise InputError(f"{parameter.opts[0]} {value}: give numbers, separated by commas") from None
+_numbers = shared.numbers("give numbers, separated by commas")
 
 
 def _number(option: str, text: str, **more):

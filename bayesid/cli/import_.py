@@ -6,10 +6,12 @@ import click
 import numpy as np
 
 import bayesid
-from bayesid.cli.options import FILE, UNUSED_SEED, names, show_progress
+from bayesid.cli.options import FILE, UNUSED_SEED, names, numbers, show_progress
 from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Sensor
+
+_numbers = numbers("write numbers with commas between, 0,0,0.1")
 
 
 def _pairs(_context, parameter, value: tuple[str, ...]) -> dict[str, str]:
@@ -25,15 +27,8 @@ def _pairs(_context, parameter, value: tuple[str, ...]) -> dict[str, str]:
             elif last is not None:
                 out[last] += "," + part.strip()
             else:
-                raise InputError(f"--{parameter.name} {part}: write NAME=VALUE")
+                raise InputError(f"{parameter.opts[0]} {part}: write NAME=VALUE")
     return out
-
-
-def _numbers(_context, parameter, value: str | None) -> list[float] | None:
-    try:
-        return None if value is None else [float(part) for part in value.split(",")]
-    except ValueError:
-        raise InputError(f"--{parameter.name.replace('_', '-')} {value}: write numbers with commas between, 0,0,0.1") from None
 
 
 def _number_pairs(context, parameter, value: tuple[str, ...]) -> dict[str, float]:
@@ -42,7 +37,7 @@ def _number_pairs(context, parameter, value: tuple[str, ...]) -> dict[str, float
         try:
             out[name] = float(given)
         except ValueError:
-            raise InputError(f"--{parameter.name} {name}={given}: write a number") from None
+            raise InputError(f"{parameter.opts[0]} {name}={given}: write a number") from None
     return out
 
 

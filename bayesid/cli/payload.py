@@ -5,19 +5,9 @@ from __future__ import annotations
 import click
 
 import bayesid
-from bayesid.cli.options import CHANNEL, EXPERIMENT, FILE, diagnosis_options, load, running
-from bayesid.errors import InputError
+from bayesid.cli.options import CHANNEL, EXPERIMENT, FILE, diagnosis_options, load, numbers, running
 
-
-def two(_context, _parameter, value: str | None) -> tuple[float, float] | None:
-    """Two numbers that a comma separates."""
-    if value is None:
-        return None
-    try:
-        one, other = map(float, value.split(","))
-    except ValueError:
-        raise InputError(f"--next {value}: give two numbers, KG,M, such as 0.005,0.001") from None
-    return one, other
+_TWO = numbers("give two numbers, KG,M, such as 0.005,0.001", 2)
 
 
 @click.command()
@@ -27,7 +17,7 @@ def two(_context, _parameter, value: str | None) -> tuple[float, float] | None:
 @click.option("--joint", help="Joint whose link carries the payload; default: the last one, or the sensor's.")
 @click.option("--frame", help="URDF link in whose frame it is given; default: the flange.")
 @click.option("--extent", type=float, help="No part of it is farther from its centre of mass [m]; bounds what is not shown.")
-@click.option("--next", "target", callback=two, help="KG,M: half intervals wanted; proposes poses that reach them.")
+@click.option("--next", "target", callback=_TWO, help="KG,M: half intervals wanted; proposes poses that reach them.")
 @click.option("--diagnosis/--no-diagnosis", default=True, help="Look for what else is in the readings.")
 @diagnosis_options
 def payload(
