@@ -35,6 +35,8 @@ _WHITE = 0.1
 _TOP = 0.35
 #: Effects that the map shows, and base parameters from which their names are numbers only.
 _SHOWN_EFFECTS, _NAMED = 40, 48
+#: Places of each kind of effect that the map shows.
+_MAPPED_PLACES = 4
 _PANELS = 3
 #: Where the section stands in a page.
 _BEGIN, _END = "<!-- certificate -->", "<!-- end of certificate -->"
@@ -224,19 +226,13 @@ def certificate_section(certificate: CoverageCertificate | None, base: BaseParam
     if certificate is None:
         return [Html(_BEGIN), Html(_END)]
     more = f" {certificate.refused} more twins could not be fitted." if certificate.refused else ""
-    section = ShownSection(
-        "Coverage certificate",
-        [
-            results.coverage_text(certificate) + more,
-            figure(
-                svg(certificate_figure(certificate, base.short_names), "certificate"),
-                "Dots: share of 95 % intervals that held the truth; strokes: its own 95 % interval. Green band: where exact "
-                "intervals of all parameters lie together with a probability of 99 %.",
-            ),
-            fold("Every base parameter", _table(certificate, base)),
-        ],
-        "Certificate",
-    )
+    section = ShownSection("Coverage certificate", [
+        results.coverage_text(certificate) + more,
+        figure(svg(certificate_figure(certificate, base.short_names), "certificate"),
+               "Dots: share of 95 % intervals that held the truth; strokes: its own 95 % interval. Green band: where exact "
+               "intervals of all parameters lie together with a probability of 99 %."),
+        fold("Every base parameter", _table(certificate, base)),
+    ], "Certificate")  # fmt: skip
     return [Html(_BEGIN), section, Html(_END)]
 
 
@@ -258,10 +254,6 @@ def _table(certificate: CoverageCertificate, base: BaseParameters) -> ShownTable
     return ShownTable(
         ["#", "base parameter", "coverage", "95 % interval", "mean error [σ]", "scatter [σ]"], rows, "nd w nb n n n"
     )
-
-
-#: Places of each kind of effect that the map shows.
-_MAPPED_PLACES = 4
 
 
 @report_of.register

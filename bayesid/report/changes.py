@@ -26,6 +26,7 @@ from bayesid.section import Html, ShownSection, ShownTable
 
 #: Bars in the picture of the evidence.
 _BARS = 12
+_HEIGHT, _TOP, _BOTTOM = 150.0, 26.0, 46.0
 _VERDICTS = {
     "named": ("changed", "fair"), "named_in_part": ("changed, named in part", "fair"), "ambiguous": ("ambiguous", "fair"),
     "unknown": ("changed, unknown", "bad"), "nothing_missing": ("nothing changed", "good"),
@@ -177,9 +178,6 @@ def _how(result: Changes) -> list[tuple[str, str]]:
 @figures_of.register
 def _(result: Changes) -> Figures:
     return {"evidence": partial(evidence_figure, result)}
-
-
-_HEIGHT, _TOP, _BOTTOM = 150.0, 26.0, 46.0
 
 
 @report_of.register

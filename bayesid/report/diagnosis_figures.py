@@ -28,6 +28,17 @@ from bayesid.validation.prediction import Prediction
 
 #: Colours: what is left, what is closed, what is neither.
 LEFT, CLOSED, OTHER, _DARK, _GRID = "#c2410c", "#0f766e", "#94a3b8", "#334155", "#e2e8f0"
+#: Points drawn of a term.
+_OF_A_TERM = 3000
+#: Recordings in the picture of residuals, and channels in the picture of signals.
+_PANELS, _CHANNELS = 4, 3
+#: Signals are shown below one of these frequencies, the one at which the disagreement stands out most [Hz].
+_CUTS = (1.0, 3.0, 10.0)
+BEFORE, AFTER = PREDICTED, "#1d4ed8"
+#: What is noise is white; what is many times as large is dark.
+_HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", "#fde8d0", "#f6a55b", "#d4452a", "#7a1022", "#2a0612"])
+_TOP = 10.0  # the darkest colour means at least so many times the noise
+_POINTS = 1500
 _ROW, _BAR, _EDGE = 24.0, 14.0, 10.0
 
 
@@ -59,13 +70,6 @@ def waterfall(steps: Sequence[tuple[str, float]], floor: float, floor_name: str 
         parts.append(write(left + scale * end + 6.0, y + 11.0, words, 9.0, _DARK))
         before, y = value, y + _ROW
     return chart(y + _EDGE, parts)
-
-
-BEFORE, AFTER = PREDICTED, "#1d4ed8"
-#: What is noise is white; what is many times as large is dark.
-_HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", "#fde8d0", "#f6a55b", "#d4452a", "#7a1022", "#2a0612"])
-_TOP = 10.0  # the darkest colour means at least so many times the noise
-_POINTS = 1500
 
 
 @styled
@@ -245,10 +249,6 @@ def push_course(push: Push) -> Figure:
     return figure
 
 
-#: Points drawn of a term.
-_OF_A_TERM = 3000
-
-
 @styled
 def described_figure(data: DiagnosisData, d: Description) -> Figure:
     """Each term in the reading in which it does most, on one motion: unseen, or for want of any a fitted one."""
@@ -281,12 +281,6 @@ def _said(part: SegmentPart, courses: np.ndarray, channels: tuple[int, ...]) -> 
     segment = part.segment
     made = [segment.spectrum(courses[:, k, None], np.array([c]))[:, 0] for k, c in enumerate(channels)]
     return segment.samples(np.stack(made, axis=1))
-
-
-#: Recordings in the picture of residuals, and channels in the picture of signals.
-_PANELS, _CHANNELS = 4, 3
-#: Signals are shown below one of these frequencies, the one at which the disagreement stands out most [Hz].
-_CUTS = (1.0, 3.0, 10.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,11 @@ from bayesid.validation.prediction import Prediction
 
 #: Kinds of changes whose smallest visible size is given where nothing changed.
 _LISTED = ("payload", "coulomb_friction", "viscous_friction", "torque_gain", "sensor_offset", "sensor_gain")
+_WORDS = {
+    "named": "changed", "named_in_part": "changed, named in part", "ambiguous": "changed, ambiguous",
+    "unknown": "changed, unknown", "nothing_missing": "nothing changed",
+}  # fmt: skip
+_MOODS = {"nothing_missing": "good", "unknown": "bad", "not_compared": "bad"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,13 +278,6 @@ def _open(c: ReferenceComparison) -> list[str]:
     hidden = [] if c.changes else [f"could hide: {text}" for text in hidden_sentences(c)]
     following = [f"next: {text}" for text in [next_experiment(c)] if text]
     return [*hidden, *(f"note: {text}" for text in (*notes(c), *runners_up(c))), *following]
-
-
-_WORDS = {
-    "named": "changed", "named_in_part": "changed, named in part", "ambiguous": "changed, ambiguous",
-    "unknown": "changed, unknown", "nothing_missing": "nothing changed",
-}  # fmt: skip
-_MOODS = {"nothing_missing": "good", "unknown": "bad", "not_compared": "bad"}
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,12 @@ from bayesid.rounding import number, percent
 from bayesid.section import ShownTable, powers
 from bayesid.simulation.trajectories import Trajectory, write_trajectory
 
+#: The motion's file beside a diagnosis.
+NEXT_MOTION = "next_motion.csv"
+#: Pairs of rivals that a sentence names.
+_NAMED = 2
+#: The motion's file.
+TRAJECTORY = "trajectory.csv"
 _KINDS = {
     "position": "position", "velocity": "speed", "acceleration": "acceleration", "torque": "torque", "wrench": "sensor",
     "collision": "distance",
@@ -261,14 +267,6 @@ def _write_stops(run: StopAndGo, path: Path) -> None:
     columns = {"row": run.rows, "arrive": run.arrive, "read_start": run.start, "read_end": run.end}
     columns |= {f"q{j + 1}": run.positions[:, j] for j in range(run.positions.shape[1])}
     DataFrame(columns).to_csv(path, index=False, float_format="%.9g")
-
-
-#: The file that it is written into beside a diagnosis.
-NEXT_MOTION = "next_motion.csv"
-#: Pairs that a sentence names.
-_NAMED = 2
-#: The motion's file.
-TRAJECTORY = "trajectory.csv"
 
 
 def telling_sentence(telling: Telling, file: str) -> str:

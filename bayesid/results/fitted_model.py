@@ -25,6 +25,14 @@ from bayesid.robot.robot import Robot, load_robot
 from bayesid.robot.urdf import JointDynamics
 from bayesid.signals.noise import NoiseModel
 
+#: A frame without mass in the URDF, that no motion weighs, is no body: all its ten parameters are below this [SI].
+_MASSLESS = 1e-9
+#: A robot's whole mass is stated right to this factor: data sheets are, and models by hand hardly worse.
+TOTAL_MASS = 1.5
+#: Errors of predictions that grow by more than this share bring a warning.
+LARGEST_GROWTH = 0.05
+_NAMED = 4
+
 
 def fitted_model(
     experiment: Experiment, effects: Iterable[str], terms: Iterable[Term]
@@ -124,22 +132,11 @@ def robot_of(document: Mapping[str, Any], file: Path) -> tuple[Robot, dict[str, 
     return robot, dict(stated["locked"])
 
 
-#: A frame without mass in the URDF, that no motion weighs, is no body: all its ten parameters are below this [SI].
-_MASSLESS = 1e-9
-
-
 def impossible_bodies(links: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
     """Names of the bodies (b,), of parameters (b, 10), that are not physically consistent."""
     massless = np.abs(links).max(axis=1) <= _MASSLESS
     exists = inertia.is_physically_consistent(links)
     return tuple(name for name, possible in zip(names, exists | massless, strict=True) if not possible)
-
-
-#: A robot's whole mass is stated right to this factor: data sheets are, and models by hand hardly worse.
-TOTAL_MASS = 1.5
-#: Errors of predictions that grow by more than this share bring a warning.
-LARGEST_GROWTH = 0.05
-_NAMED = 4
 
 
 @dataclass(frozen=True)

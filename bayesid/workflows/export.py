@@ -16,7 +16,7 @@ from bayesid.effects.families import SensorEffect
 from bayesid.errors import InputError
 from bayesid.results.export.identified import FoundEffect, IdentifiedRobot, draws_of, randomisation
 from bayesid.results.export.inverse_dynamics import InverseDynamics, cpp_header, inverse_dynamics, numpy_module
-from bayesid.results.export.simulators import HELD, JointConstants, held, joint_constants, mjcf, sdf
+from bayesid.results.export.simulators import HELD_BY_SDF, JointConstants, held_by_mujoco, joint_constants, mjcf, sdf
 from bayesid.results.exported import Exported
 from bayesid.results.fitted_model import robot_of
 from bayesid.results.identification import Identification
@@ -177,7 +177,7 @@ def _links(found: IdentifiedRobot, form: str) -> np.ndarray:
 
 def _mjcf(found: IdentifiedRobot, made: _Making) -> None:
     links, dynamics = _links(found, "mjcf"), found.joint_dynamics()
-    text, constants = mjcf(found.robot, found.locked, links, dynamics), joint_constants(found.robot, dynamics, held())
+    text, constants = mjcf(found.robot, found.locked, links, dynamics), joint_constants(found.robot, dynamics, held_by_mujoco())
     _add_model("mjcf", "identified.xml", text, ", mass matrix and bias forces as Pinocchio's", constants, made)
 
 
@@ -188,7 +188,7 @@ def _urdf(found: IdentifiedRobot, made: _Making) -> None:
 
 def _sdf(found: IdentifiedRobot, made: _Making) -> None:
     links, dynamics = _links(found, "sdf"), found.joint_dynamics()
-    text, constants = sdf(found.robot, found.locked, links, dynamics), joint_constants(found.robot, dynamics, HELD)
+    text, constants = sdf(found.robot, found.locked, links, dynamics), joint_constants(found.robot, dynamics, HELD_BY_SDF)
     _add_model("sdf", "identified.sdf", text, ", version 1.9, fixed to the world", constants, made)
 
 

@@ -15,6 +15,11 @@ from bayesid.robot.mjcf import compare, load_mujoco
 from bayesid.robot.robot import Robot
 from bayesid.robot.urdf import JointDynamics, urdf_text
 
+#: Time step of a simulation [s] down to which delays have room for their history.
+FINEST_STEP = 5e-4
+#: What of `joint_constants` SDF has a place for.
+HELD_BY_SDF = ("springs",)
+_PLACEHOLDER = "0.001"  # kg, of an SDF's root without mass, which does not move: without a number readers take 1 kg
 #: The effect that simulators call armature.
 ARMATURE = "rotor_inertia"
 
@@ -105,11 +110,7 @@ def with_comments(root: ET.Element, constants: JointConstants) -> str:
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-#: Time step of a simulation [s] down to which delays have room for their history.
-FINEST_STEP = 5e-4
-
-
-def held() -> tuple[str, ...]:
+def held_by_mujoco() -> tuple[str, ...]:
     """What of `joint_constants` the MuJoCo that is installed has a place for; delays from version 3.5 on."""
     return ("armature", "springs", *(["delays"] if hasattr(load_mujoco().MjsActuator, "delay") else []))
 
@@ -126,7 +127,7 @@ def mjcf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics:
     ET.SubElement(settings, "compiler", fusestatic="false", discardvisual="true", balanceinertia="false")
     root.insert(0, settings)
     urdf = ET.tostring(root, encoding="unicode")
-    constants = joint_constants(robot, dynamics, held())
+    constants = joint_constants(robot, dynamics, held_by_mujoco())
     try:
         spec = mujoco.MjSpec.from_string(urdf)
         spec.option.gravity = robot.gravity
@@ -203,11 +204,6 @@ def _put(element: ET.Element, values: Mapping[str, Any]) -> None:
         element.set(key, " ".join(repr(float(x)) for x in np.atleast_1d(value)))
 
 
-#: What of `joint_constants` it has a place for.
-HELD = ("springs",)
-_PLACEHOLDER = "0.001"  # kg, of a root without mass, which does not move: without a number readers take 1 kg
-
-
 def sdf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics: JointDynamics) -> str:
     """The text of an SDF file, version 1.9: links and joints with friction and springs, the root fixed to the world.
 
@@ -215,7 +211,7 @@ def sdf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics: 
     link of no mass that is fixed to another becomes a frame: a reader would give it a kilogram. An `InputError` where a moving
     link has no mass, which SDF has no word for.
     """
-    tree, constants = plain_urdf(robot, locked, links, dynamics), joint_constants(robot, dynamics, HELD)
+    tree, constants = plain_urdf(robot, locked, links, dynamics), joint_constants(robot, dynamics, HELD_BY_SDF)
     root = ET.Element("sdf", version="1.9")
     model = ET.SubElement(root, "model", name=tree.get("name") or "robot")
     above = {_link(joint, "child"): joint for joint in tree.findall("joint")}
