@@ -225,9 +225,9 @@ def test_two_effects_and_a_contact(named):
 
 
 def test_shares_are_not_rounded_up_to_all(named):
-    assert diagnosis.share_text(0.9999994) == "99.999 %"
-    assert diagnosis.share_text(1.0) == "100 %"
-    assert diagnosis.share_text(0.5) == "50.0 %"
+    assert diagnosis.known_share(0.9999994) == "99.999 %"
+    assert diagnosis.known_share(1.0) == "100 %"
+    assert diagnosis.known_share(0.5) == "50.0 %"
 
 
 def test_a_notebook_escapes(named):
