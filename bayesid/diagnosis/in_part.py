@@ -142,18 +142,18 @@ def proven_effects(s: Search, seed: int) -> InPart | None:
     part = _proven(s, seed, None)
     exact = tuple(_exact(part.search)) if part else ()
     # Values have moved since the columns were taken, and the less is left, the smaller the effects that stand out of it: anew
-    # about what was found, until the same effects are found or no more comes of it, and then with those effects that came near.
+    # about what was found, then with those effects that came near, until the same are found or no more comes of it.
+    among: frozenset[str] | None = None
     for _ in range(SWEEPS):
-        again = part and _proven(part.search, seed, None, exact)
+        again = part and _proven(part.search, seed, among, exact)
         if part is None or again is None:
-            part = again  # what was proven does not stand alone
-            break
+            return None  # what was proven does not stand alone
         better, same = part.remainder - again.remainder, part.names == again.names
         part = again if better > 0.0 else part
-        if same or better <= LEAST_GAP:
+        if among is not None and (same or better <= LEAST_GAP):
             break
-    last = part and _proven(part.search, seed, part.near, exact)
-    last = last and _beyond_offset(last, seed)
+        among = part.near
+    last = part and _beyond_offset(part, seed)
     if last is not None and last.remainder > 1.0 - s.projector.data.settings.most:
         last = _where_they_act(last, seed)
     return last and replace(last, search=with_white_noise(last.search))

@@ -33,14 +33,12 @@ _FLANK = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class _Fading:
-    """Samples at which a weight changes, their neighbours (k,), and factors of neighbours' difference and of samples (k, c)."""
+class _Averaged:
+    """What multiplies samples of some channels that are averages: a weight (M, c), and where that changes (k,) differences, too."""
 
+    weight: np.ndarray
     at: np.ndarray
-    after: np.ndarray
-    before: np.ndarray
-    rates: np.ndarray
-    values: np.ndarray
+    rates: np.ndarray  # factors of the difference between the samples after and before (k, c)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,14 +106,16 @@ class SpectralSegment:
         scale = np.sqrt(len(self.times) / len(self.trajectory.times))
         if self.still or self.instant:
             return _transform(samples, self._trajectory_weight[:, channels], len(self.frequencies)) * scale
-        fading = self._fading
+        averaged = self._averaged(channels)
 
         def wide(x: np.ndarray) -> np.ndarray:
             return x.reshape(x.shape + (1,) * (samples.ndim - x.ndim))
 
-        weighted = samples * wide(self._trajectory_weight[:, channels])
-        rate = samples[fading.after] - samples[fading.before]
-        weighted[fading.at] -= wide(fading.rates[:, channels]) * rate + wide(fading.values[:, channels]) * samples[fading.at]
+        weighted = samples * wide(averaged.weight)
+        rate = samples[np.minimum(averaged.at + 1, len(samples) - 1)]
+        rate -= samples[np.maximum(averaged.at - 1, 0)]
+        rate *= wide(averaged.rates)
+        weighted[averaged.at] -= rate
         share = np.sinc(self.frequencies * self.step) * scale
         return np.asarray(dct(weighted, axis=0, norm="ortho", overwrite_x=True))[: len(share)] * wide(share)
 
@@ -124,17 +124,22 @@ class SpectralSegment:
         """Weight on the segment's grid (M, c)."""
         return self.weight(self.trajectory.times)
 
+    def _averaged(self, channels: np.ndarray | slice) -> _Averaged:
+        """What multiplies the samples of some channels; where no weight of theirs changes there is nothing but that."""
+        which = tuple(np.arange(self.readings.shape[1])[channels])
+        if which not in self._averages:
+            times, weight = self.trajectory.times, self._trajectory_weight[:, which]
+            slope = np.gradient(weight, times, axis=0)
+            bend, share = np.gradient(slope, times, axis=0), self.step**2 / 24.0
+            at = np.flatnonzero(slope.any(axis=1))
+            span = times[np.minimum(at + 1, len(times) - 1)] - times[np.maximum(at - 1, 0)]
+            self._averages[which] = _Averaged(weight - share * bend, at, share * 2.0 * slope[at] / span[:, None])
+        return self._averages[which]
+
     @cached_property
-    def _fading(self) -> _Fading:
-        """What averaging does to the weight where that changes."""
-        times, weight = self.trajectory.times, self._trajectory_weight
-        slope = np.gradient(weight, times, axis=0)
-        bend = np.gradient(slope, times, axis=0)
-        at = np.flatnonzero(np.abs(slope).max(axis=1) + np.abs(bend).max(axis=1) > 0.0)
-        after, before = np.minimum(at + 1, len(times) - 1), np.maximum(at - 1, 0)
-        share = self.step**2 / 24.0
-        rates = share * 2.0 * slope[at] / (times[after] - times[before])[:, None]
-        return _Fading(at, after, before, rates, share * bend[at])
+    def _averages(self) -> dict[tuple[int, ...], _Averaged]:
+        """By channels what `_averaged` has found: the same are asked for again and again."""
+        return {}
 
     @cached_property
     def measured_readings(self) -> np.ndarray:

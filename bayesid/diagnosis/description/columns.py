@@ -41,14 +41,14 @@ class SegmentPart:
     def values(self, shapes: Sequence[Shape]) -> np.ndarray:
         """The shapes' products on the grid (M, g); of such as have no finite value zero."""
         factors: dict[str, np.ndarray] = {}  # a few hundred, in thousands of products
-        out = np.empty((len(self.segment.trajectory.times), sum(len(s.products) for s in shapes)))
-        for k, product in enumerate(p for s in shapes for p in s.products):
-            out[:, k] = 1.0
+        out = np.ones((sum(len(s.products) for s in shapes), len(self.segment.trajectory.times)))  # a course lies in one piece
+        for course, product in zip(out, (p for s in shapes for p in s.products), strict=True):
             for factor in product:
                 if factor.text not in factors:
                     factors[factor.text] = Formula.parse(factor.text)(self.variables, course=not self.segment.still)
-                out[:, k] *= factors[factor.text]
-        return np.where(np.isfinite(out).all(axis=0), out, 0.0)
+                course *= factors[factor.text]
+        out[~np.isfinite(out).all(axis=1)] = 0.0
+        return out.T
 
     def columns(self, values: np.ndarray, channel: int) -> np.ndarray:
         """White rows (k c, g) of courses (M, g) in one channel."""
