@@ -236,10 +236,10 @@ def finish(now: Iterate) -> Fit:
     links, offset = projector.split(now.coordinates)
     derivatives = now.derivatives if now.exact else _derivatives(projector, links, terms, {}, 0.0)[0]
     jacobian = _side_by_side(projector, terms, derivatives)
-    possible = bool(np.isfinite(chi2) and np.isfinite(jacobian).all())
+    possible = bool(np.isfinite(chi2) and projector.finite and np.isfinite(jacobian).all())
     if not possible:  # diverged: refused
         jacobian, rows, chi2, derivatives = np.zeros(jacobian.shape), np.zeros(len(rows)), np.inf, {}
-    kept = projector.columns(jacobian)
+    kept = projector.columns(jacobian) if possible else np.zeros((len(projector.q), len(free)))
     length = np.linalg.norm(kept, axis=0)
     safe = np.where(_alive(length, jacobian), length, np.inf)
     values, vectors = _eigen((kept / safe).T @ (kept / safe))

@@ -71,6 +71,8 @@ class NoiseModels:
             for _ in range(SWEEPS if key else 1):
                 own = with_noise_of(data, fitted.links, fitted.terms, self.seed)
                 fitted = fit(make_projector(own, fitted.terms), fitted.terms, fitted)
+            if not fitted.projector.finite:
+                return self, fitted  # what diverged says nothing for other models
             models = replace(self, projectors={**self.projectors, key: fitted.projector})
         elif fitted.projector is self.projectors[key]:
             return self, fitted

@@ -40,6 +40,11 @@ class NuisanceProjector:
         return self.r.shape[1]
 
     @property
+    def finite(self) -> bool:
+        """Whether the columns are: those of links on a mount that diverges are not."""
+        return bool(np.isfinite(self.r).all())
+
+    @property
     def length(self) -> int:
         """Number of rows above the prior's, those of channels that say nothing among them."""
         return len(self.q) - self.size

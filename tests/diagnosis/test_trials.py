@@ -129,3 +129,12 @@ def test_a_play_that_is_no_more_than_a_spring_has_no_score(stiff, spec, truth, s
     # What the user states is what it is.
     stated = fit(make_projector(replace(data, terms=(Term(play, start),)), ()), (Term(play, start),))
     assert not is_another(stated, 0) and np.isfinite(stated.score)
+
+
+def test_a_model_whose_links_columns_diverge_is_refused(library):
+    made, _, beside = library
+    lost = replace(made.projector, q=np.full_like(made.projector.q, np.nan), r=np.full_like(made.projector.r, np.nan))
+    assert made.projector.finite and not lost.finite
+    with np.errstate(invalid="ignore"):
+        refused = fit(lost, beside.terms, beside)
+    assert refused.score == -np.inf and refused.chi2 == np.inf
