@@ -16,7 +16,7 @@ from bayesid.dynamics.regressors import Kernel
 from bayesid.effects import MotionSegment, Term, columns
 from bayesid.effects.loads import Tether
 from bayesid.recordings.table import usual_step
-from bayesid.regression.readings import has_readings, readings_of
+from bayesid.regression.readings import has_readings, readings_of, rests, stated_noise
 from bayesid.signals.repeats import find_rests
 from bayesid.signals.smoothing import smooth
 
@@ -79,9 +79,9 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
         encoders = Encoders(predict, resmooth, count, random, seed)
         spectrum = measure(moving, _rests(data, count), sensor[False], filtered, encoders)
     source = spectrum.source if spectrum else WHITE if not filtered else "richest model"
-    if filtered and spectrum is None and (stated_noise := _stated_noise(data)) is not None:
+    if filtered and spectrum is None and (sheet := stated_noise(data.experiment, data.channel)) is not None:
         # A filter moves noise into the band: there is no less of it there than of one sample's.
-        sensor[False], source = np.maximum(sensor[False], stated_noise), "stated"
+        sensor[False], source = np.maximum(sensor[False], sheet), "stated"
 
     def noisy(segments: Sequence[SpectralSegment]) -> tuple[SpectralSegment, ...]:
         out = []
@@ -116,7 +116,7 @@ def _poses_with_noise(data: DiagnosisData, links: np.ndarray, terms: Sequence[Te
             for s in segments
         )  # fmt: skip
 
-    source = "stated" if _stated_noise(data) is not None else "richest model"
+    source = "stated" if stated_noise(data.experiment, data.channel) is not None else "richest model"
     return replace(data, segments=noisy(data.segments), unseen=noisy(data.unseen), floor_known=True, floor_source=source)
 
 
@@ -126,7 +126,7 @@ def pose_noise(data: DiagnosisData) -> np.ndarray:
     Of a sensor in the arm also what a cable leaves that pulls what it carries, where there are poses enough to tell. A drift from
     pose to pose is taken out where it leaves clearly less; so is, at few poses of such a sensor, one body with either of both.
     """
-    stated = _stated_noise(data)
+    stated = stated_noise(data.experiment, data.channel)
     if stated is not None:
         return stated
     every = [*data.segments, *data.unseen]
@@ -207,30 +207,24 @@ def _pulls(data: DiagnosisData, segments: Sequence[SpectralSegment]) -> np.ndarr
 def _rests(data: DiagnosisData, count: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Times (N,) and readings (N, c) where the robot stands still, in motions and in static runs sampled like them."""
     moving = [s for s in (*data.segments, *data.unseen) if not s.still]
-    names = {s.motion for s in moving}
+    motions = {m.name: m for m in data.experiment.motions if m.name in {s.motion for s in moving}}
     step = float(np.median([s.step for s in moving]))
-    parts = [(s.times, s.encoders, s.readings) for s in moving]
-    for motion in data.experiment.motions:
+    parts = [(s.times, s.readings, rests(motions[s.motion], s.times, s.encoders, count)) for s in moving]
+    for motion in motions.values():
         table = motion.static
-        if motion.name in names and table is not None and not motion.stop_and_go and has_readings(table, data.channel):
+        if table is not None and not motion.stop_and_go and has_readings(table, data.channel):
             # Rows of poses that were averaged one by one are no recording.
             pieces = [p for p in table.segments() if p.stop - p.start > 2]
             pieces = [p for p in pieces if abs(usual_step(table.times[p]) / step - 1.0) < 0.1]
-            parts += [(table.times[p], table.positions[p], readings_of(data.experiment, table, data.channel)[p]) for p in pieces]
+            read = readings_of(data.experiment, table, data.channel)
+            parts += [(table.times[p], read[p], find_rests(table.times[p], table.positions[p], count)) for p in pieces]
     out = []
-    for times, encoders, read in parts:
-        for start, end in find_rests(times, encoders, count):
+    for times, read, still in parts:
+        for start, end in still:
             inside = (times >= start) & (times <= end)
-            out.append((times[inside], read[inside]))
+            if np.count_nonzero(inside) > 2:  # what the experiment states may lie in another segment
+                out.append((times[inside], read[inside]))
     return out
-
-
-def _stated_noise(data: DiagnosisData) -> np.ndarray | None:
-    """Noise of one sample from the data sheet (c,), where the sensor is all that is compared."""
-    sensor = data.experiment.sensor
-    if data.channel != "wrench" or sensor is None or sensor.force_std is None or sensor.torque_std is None:
-        return None
-    return np.repeat([sensor.force_std, sensor.torque_std], 3)
 
 
 def smoothed(

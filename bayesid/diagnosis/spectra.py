@@ -34,7 +34,7 @@ _FLANK = 0.2
 
 @dataclass(frozen=True, eq=False)
 class _Averaged:
-    """What multiplies samples of some channels that are averages: a weight (M, c), and where that changes (k,) differences, too."""
+    """What multiplies samples of channels that read averages: a weight (M, c), and differences where that changes (k,)."""
 
     weight: np.ndarray
     at: np.ndarray

@@ -11,6 +11,7 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import Table
 from bayesid.regression.segment import LongSegment, Segment
+from bayesid.signals.repeats import find_rests
 
 CHANNELS = ("wrench", "torque", "both")
 
@@ -52,6 +53,22 @@ def require_readings(motion: Motion, channel: str) -> None:
             f"{motion.table.source}: columns {columns} are missing, which {argument('channel', channel)} needs; "
             f"add them, choose another {argument('channel')} or leave motion '{motion.name}' out with {argument('motions')}"
         )
+
+
+def stated_noise(experiment: Experiment, channel: str) -> np.ndarray | None:
+    """Standard deviation of one sample by the data sheet (6,) [N, N m], where the sensor is all that is compared."""
+    sensor = experiment.sensor
+    if channel != "wrench" or sensor is None or sensor.force_std is None or sensor.torque_std is None:
+        return None
+    return np.repeat([sensor.force_std, sensor.torque_std], 3)
+
+
+def rests(motion: Motion, times: np.ndarray, encoders: np.ndarray, counts: np.ndarray) -> list[tuple[float, float]]:
+    """Start and end [s] of the times in which the robot stands still: as the experiment says, or as its encoders (N, n) do.
+
+    ``counts`` is one count of each encoder (n,) [rad or m].
+    """
+    return list(motion.parked) or find_rests(times, encoders, counts)
 
 
 def motion_segments(

@@ -25,8 +25,9 @@ from bayesid.estimators.weights import learn_weights
 from bayesid.regression.encoder_noise import errors_of
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
+from bayesid.regression.readings import rests, stated_noise
 from bayesid.regression.segment import Segment
-from bayesid.signals.repeats import RATE, find_repeats, find_rests
+from bayesid.signals.repeats import RATE, find_repeats
 from bayesid.signals.white_noise import low_passed, steady_noise
 
 #: Where a floor comes from, for reports.
@@ -99,7 +100,7 @@ def noise_floor(problem: Problem) -> NoiseFloor | None:
     if low_passed(samples):
         sources = {
             REPEATS: partial(_by_repeats, problem, moving, encoder, top), AT_REST: partial(_at_rest, problem),
-            DATA_SHEET: partial(_data_sheet, problem),
+            DATA_SHEET: partial(stated_noise, problem.experiment, problem.channel),
         }  # fmt: skip
         known = next(((name, found) for name, measured in sources.items() if (found := measured()) is not None), None)
         if known is None:
@@ -199,22 +200,13 @@ def _encoder_power(problem: Problem, moving: Sequence[Segment], top: float) -> n
 
 def _at_rest(problem: Problem) -> np.ndarray | None:
     """Noise of the readings while the robot stands still, as the experiment says or as the encoders do (c,)."""
-    stated = {m.name: m.parked for m in problem.experiment.motions}
-    parts = []
+    motions, parts = {m.name: m for m in problem.experiment.motions}, []
     for name, segments in problem.segments.items():
         for s in segments:
             if s.poses:
                 continue
-            for start, end in stated.get(name) or find_rests(s.times, s.positions, _counts(problem)):
+            for start, end in rests(motions[name], s.times, s.positions, _counts(problem)):
                 inside = (s.times >= start) & (s.times <= end)
                 if inside.sum() > 16 and np.ptp(s.times[inside]) >= _SHORTEST_REST:
                     parts.append(detrend(s.readings[inside], axis=0))
     return np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)) if parts else None
-
-
-def _data_sheet(problem: Problem) -> np.ndarray | None:
-    """Noise of one sample by the data sheet (c,), where the sensor is all that is compared."""
-    sensor = problem.experiment.sensor
-    if problem.channel != "wrench" or sensor is None or sensor.force_std is None or sensor.torque_std is None:
-        return None
-    return np.repeat([sensor.force_std, sensor.torque_std], 3)

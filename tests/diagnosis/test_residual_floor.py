@@ -196,6 +196,21 @@ def test_a_robot_that_stands_still_shows_its_noise(robot):
     assert abs(np.mean(np.log(ratio))) < 0.15
 
 
+def test_a_rest_that_the_experiment_states_shows_its_noise(robot):
+    """Encoders that flicker by more than a robot at rest moves: only the experiment says when it stands still."""
+    given = setting(robot, parked(robot, 6, 5.5), FILTERED)
+    table = given.motions[0].table
+    flicker = 2e-3 * np.random.default_rng(3).normal(size=table.positions.shape)
+    motion = replace(given.motions[0], table=replace(table, positions=table.positions + flicker))
+    given = replace(given, motions=(motion,), position_resolution=None)
+    assert made(given).floor_source == "richest model"
+    found = made(replace(given, motions=(replace(motion, parked=((0.5, 5.0), (26.0, 30.5))),)))
+    assert (found.floor_known, found.floor_source) == (True, "parked")
+    where = np.array([0.5, 1.0, 2.0, 3.0])
+    ratio = np.sqrt(found.spectrum.at(where).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
+    assert abs(np.mean(np.log(ratio))) < 0.15
+
+
 def test_neither_repeats_nor_rests_leave_the_floor_unknown(robot):
     """Filtered readings of one motion, and of one with a rest that is too short; what the data sheet says counts as the least."""
     for motion in (swept(robot, 5, 20.0), parked(robot, 6, 1.5)):
