@@ -113,7 +113,8 @@ class Library:
     base: Fit  # the user's model
     around: Surroundings  # what effects may want to know of the recordings
     effects: tuple[Effect, ...]  # those effects, each at its place
-    blocks: tuple[_Block, ...] = ()  # columns by effect and shape
+    columns: np.ndarray  # of all of them side by side, links projected out (rows + size, k)
+    blocks: tuple[_Block, ...] = ()  # the same by effect and shape
     ripples: tuple[RippleScan, ...] = ()  # sines and cosines of joint positions, for effects that are one
 
     def propose(self, fit: Fit) -> list[Proposal]:
@@ -123,14 +124,14 @@ class Library:
         left = projector.project_out(np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)]))
         left = left - found @ (found.T @ left)
         taken, best = self._taken(fit), {}
-        for block in self.blocks:
+        beside = _split(self.columns - found @ (found.T @ self.columns), [b.rows for b in self.blocks])
+        for block, rows in zip(self.blocks, beside, strict=True):
             name = block.effect.spec
             if name in taken:
                 continue
-            rows = block.rows - found @ (found.T @ block.rows)
             amplitudes, gain, count = _explained(rows, left)
-            if first := [b.rows for b in self._before[block.effect]]:
-                others = Span.of(np.hstack(first) - found @ (found.T @ np.hstack(first)))
+            if first := self._before[block.effect]:
+                others = Span.of(np.hstack([beside[k] for k in first]))
                 _, gain, count = _explained(others.project_out(rows), others.project_out(left))
             if name not in best or gain - _cost(count) > best[name].gain - _cost(best[name].parameters):
                 length = float(np.linalg.norm(rows[:, 0]))
@@ -149,9 +150,9 @@ class Library:
         return sorted(best.values(), key=_promise)
 
     @cached_property
-    def _before(self) -> dict[Effect, list[_Block]]:
+    def _before(self) -> dict[Effect, list[int]]:
         """By effects, the blocks whose effects leave them what they are counted for."""
-        return {e: [b for b in self.blocks if e.comes_after(b.effect)] for e in {b.effect for b in self.blocks}}
+        return {e: [k for k, b in enumerate(self.blocks) if e.comes_after(b.effect)] for e in {b.effect for b in self.blocks}}
 
     def with_last_resorts(self, proposals: Sequence[Proposal], fit: Fit) -> list[Proposal]:
         """Proposals beside a fit with effects whose values are tried as a last resort among them, best gain first.
@@ -194,8 +195,7 @@ class Library:
     @cached_property
     def _span(self) -> Span:
         """What all columns together explain."""
-        columns = np.hstack([np.zeros((len(self.projector.q), 0)), *(b.rows for b in self.blocks)])
-        return Span.of(columns, rounding=self._rounding)
+        return Span.of(self.columns, rounding=self._rounding)
 
     @cached_property
     def _rounding(self) -> float:
@@ -281,11 +281,15 @@ def make_library(
                 found_.append((effect, about))
                 rows.append(own)
     # All at once: the factor of links and offset is read twice, not twice for each of them.
-    edges = np.cumsum([own.shape[1] for own in rows])[:-1]
-    left = np.split(projector.columns(np.hstack(rows)), edges, axis=1) if rows else []
-    blocks = [_Block(effect, own, about) for (effect, about), own in zip(found_, left, strict=True)]
+    whole = projector.columns(np.hstack([np.zeros((projector.length, 0)), *rows]))
+    blocks = [_Block(effect, own, about) for (effect, about), own in zip(found_, _split(whole, rows), strict=True)]
     ripples = RippleScan.of(data, [e for e in effects if e.harmonics])
-    return Library(projector, base, around, effects, tuple(blocks), ripples)
+    return Library(projector, base, around, effects, whole, tuple(blocks), ripples)
+
+
+def _split(whole: np.ndarray, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Columns (rows, k) as they stand, in parts as wide as others."""
+    return np.split(whole, np.cumsum([part.shape[1] for part in parts])[:-1], axis=1) if parts else []
 
 
 def column_terms(data: DiagnosisData) -> list[tuple[Term, Linearisation]]:

@@ -6,6 +6,7 @@ Readings that follow each other are not independent, blocks of seconds nearly ar
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 
@@ -27,5 +28,11 @@ def lower_end(blocks: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray],
 
     The statistic takes drawn sums (draws, k) and gives what is asked for (draws, ...); the seed is that of the draws.
     """
-    picks = np.random.default_rng(seed).integers(len(blocks), size=(_DRAWS, len(blocks)))
-    return np.quantile(statistic(blocks[picks].sum(axis=1)), 1.0 - settings.interval, axis=0)
+    return np.quantile(statistic(_drawn(len(blocks), seed) @ blocks), 1.0 - settings.interval, axis=0)
+
+
+@lru_cache(maxsize=8)  # a few recordings' worth: of one, the same blocks are drawn hundreds of times
+def _drawn(count: int, seed: int) -> np.ndarray:
+    """How often each of so many blocks is drawn (draws, count)."""
+    picks = np.random.default_rng(seed).integers(count, size=(_DRAWS, count))
+    return np.stack([np.bincount(own, minlength=count) for own in picks]).astype(float)

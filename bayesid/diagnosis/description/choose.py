@@ -46,8 +46,9 @@ def choose(
     Of the best candidates the first that is confirmed is taken; how many candidates there are counts against each. ``library``
     holds effects that could do as well; the seed is the bootstrap's.
     """
-    bars = Counter(c.sort for c in candidates)
-    tried = np.array([bars[c.sort] for c in candidates], dtype=float)
+    sorts = [c.sort for c in candidates]
+    bars = Counter(sorts)
+    tried = np.array([bars[sort] for sort in sorts], dtype=float)
     free = np.array([c.free for c in candidates], dtype=float)
     among, out = list(range(len(candidates))), []
     state = _State(first, second, np.zeros((len(first.residual), 0)), np.zeros((len(second.residual), 0)))
