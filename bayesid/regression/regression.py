@@ -24,9 +24,8 @@ from bayesid.signals.filters import LowPass
 class PriorKnowledge:
     """What is known of the parameters before any row is read."""
 
-    nominal_links: np.ndarray | None = (
-        None  # of the nominal model, if there is one, in the order of ``base.parameter_names`` (P,)
-    )
+    #: Of the nominal model, if there is one, in the order of ``base.parameter_names`` (P,).
+    nominal_links: np.ndarray | None = None
     #: Their prior relative standard deviation, see `bayesid.robot.prior.Prior.warped`; 0: exact, None: not known.
     inertia_rel_std: float | None = None
     bodies: tuple[tuple[int, ...], ...] = ()  # columns of ``base.parameter_names`` that are a body's ten parameters
