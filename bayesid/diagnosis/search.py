@@ -19,7 +19,6 @@ from bayesid.diagnosis.noise import with_noise_of
 from bayesid.diagnosis.noise_models import NoiseModels, as_points, prepared
 from bayesid.diagnosis.projector import NuisanceProjector, make_projector
 from bayesid.diagnosis.rivals import Found, Pruned, as_payload, canonical, essential, prune, with_rivals
-from bayesid.dynamics.base_parameters import structural_base
 from bayesid.effects import Term
 
 
@@ -137,22 +136,4 @@ def _of_model(s: Search, best: Fit, found: Sequence[Found]) -> Search:
     return replace(s, best=best, found=own)
 
 
-def base_shifts(search: Search) -> tuple[tuple[str, float, float, float], ...]:
-    """Base parameters that the effects found had moved by more than three standard deviations, most first.
-
-    Each as its label, its values before and after, and by how many standard deviations it had moved.
-    """
-    data = search.projector.data
-    if data.prior is None:
-        return ()
-    base = structural_base(data.robot, data.channels, gravity=True, offset=data.channel != "torque", at_rest=False)
-    inverse = np.linalg.inv(search.projector.r)[: search.projector.root.shape[1]]
-    spread = base.matrix @ search.projector.root @ inverse
-    std = np.sqrt(search.dispersion * np.sum(spread**2, axis=1))
-    before, after = base.matrix @ search.base.links, base.matrix @ search.best.links
-    sigmas = (before - after) / np.maximum(std, 1e-300)
-    order = np.argsort(-np.abs(sigmas))
-    return tuple((base.labels[k], float(before[k]), float(after[k]), float(sigmas[k])) for k in order if abs(sigmas[k]) > 3)
-
-
-__all__ = ["Found", "Pruned", "Search", "base_shifts", "certain", "holds_below", "refit", "search"]
+__all__ = ["Found", "Pruned", "Search", "certain", "holds_below", "refit", "search"]

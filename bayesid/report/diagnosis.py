@@ -254,11 +254,11 @@ def _moved(d: Diagnosis) -> ShownSection:
     if not d.shifts:
         nothing = "Hardly anything: no base parameter had moved by more than three of its standard deviations."
         return ShownSection(title, [nothing], name)
-    rows = [[label, number(a), number(b), number(sigmas, 3)] for label, a, b, sigmas in d.shifts[:_SHIFTS]]
+    rows = [[s.label, number(s.before), number(s.after), number(s.sigmas, 3)] for s in d.shifts[:_SHIFTS]]
     more = len(d.shifts) - _SHIFTS
     return ShownSection(title, [
         "Without the effect the fit bends the rigid parameters to make up for it. Base parameters that had moved by more than "
-        "three standard deviations:",
+        "three standard deviations, as identify estimates them with either model:",
         ShownTable(["base parameter", "without the effect", "with it", "moved [σ]"], rows, "w n nb n"),
         note(f"And {more} more, by less." if more > 0 else ""),
     ], name)  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
@@ -33,7 +33,7 @@ from bayesid.results.fitted_model import fitted_model, placed
 from bayesid.rounding import DASH, HALF, channel_text, ends, number, percent, unit_text, with_half
 from bayesid.section import Part, ShownTable, as_html, powers
 from bayesid.simulation.trajectories import write_trajectory
-from bayesid.validation.own_fit import MotionErrors
+from bayesid.validation.own_fit import MotionErrors, Shift
 from bayesid.validation.prediction import Prediction
 
 #: What stands for a value that the data leave open.
@@ -64,8 +64,7 @@ class Diagnosis(ShownResult):
     gap
         On the validation motions; None without any.
     shifts
-        Base parameters that the missing effects had moved: label, value before, after, and by how many standard
-        deviations.
+        Base parameters that the missing effects had moved, as `bayesid.identify` estimates them with both models.
     remarks
         What the reader should know.
     next_experiment
@@ -95,7 +94,6 @@ class Diagnosis(ShownResult):
     found: tuple[Found, ...]
     where: tuple[Disagreement, ...]
     gap: Gap | None
-    shifts: tuple[tuple[str, float, float, float], ...]
     remarks: tuple[str, ...]
     next_experiment: str
     seconds: float = 0.0
@@ -106,6 +104,7 @@ class Diagnosis(ShownResult):
     reason: Reason = ""
     remainder: tuple[Disagreement, ...] = ()
     errors: tuple[MotionErrors, ...] = ()
+    shifts: tuple[Shift, ...] = ()
 
     def __repr__(self) -> str:
         named = f": {', '.join(f.term.effect.spec for f in self.found)}" if self.found else ""
@@ -217,9 +216,7 @@ class Diagnosis(ShownResult):
                 "after": float(np.sqrt(self.search.best.chi2 / self.search.projector.rows)),
                 "unexplained": float(np.sqrt(self.search.dispersion)),
             },
-            "base_parameter_shifts": [
-                dict(zip(("label", "before", "after", "sigmas"), shift, strict=True)) for shift in self.shifts
-            ],
+            "base_parameter_shifts": [asdict(shift) for shift in self.shifts],
             "remarks": list(self.remarks), "next_experiment": self.next_experiment,
             "next_motion": None if self.telling is None else telling_dict(self.telling, NEXT_MOTION),
             "runtime_s": self.seconds,

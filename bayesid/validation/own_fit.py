@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from bayesid.errors import InputError
+from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.nonlinear import default_method, solve
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.options import FitOptions
@@ -71,7 +72,37 @@ def left_text(prediction: Prediction) -> str:
     return f"{noise}, {100 * prediction.relative_error:.3g} % of the signal"
 
 
-def fit_and_predict(problem: Problem) -> tuple[Prediction, ...]:
+@dataclass(frozen=True, eq=False)
+class OwnFit:
+    """A model as `bayesid.identify` fits it, and what it leaves of each motion."""
+
+    estimate: Estimate
+    predictions: tuple[Prediction, ...]  # of the motions fitted, and of those of role ``validation``
+
+
+@dataclass(frozen=True)
+class Shift:
+    """A base parameter without and with effects in the model, and by how many of the latter's standard deviations it moves."""
+
+    label: str
+    before: float
+    after: float
+    sigmas: float
+
+
+@dataclass(frozen=True, eq=False)
+class BeforeAndAfter:
+    """What two models leave of every motion, those that were not fitted first, and what the second does to base parameters.
+
+    ``refused`` says where one cannot be fitted; there are no errors where the first cannot.
+    """
+
+    errors: tuple[MotionErrors, ...] = ()
+    shifts: tuple[Shift, ...] = ()  # those above three standard deviations, most first
+    refused: str = ""
+
+
+def fit_and_predict(problem: Problem) -> OwnFit:
     """Fit a model and predict the motions that it was fitted to, and those of role ``validation``."""
     problem, estimate = solve(problem, default_method(problem))
     floor = noise_floor(problem)
@@ -79,24 +110,40 @@ def fit_and_predict(problem: Problem) -> tuple[Prediction, ...]:
         m for m in problem.experiment.motions
         if m.name in problem.segments and (m.name in problem.fitted or m.role == "validation")
     ]  # fmt: skip
-    return tuple(in_order(partial(predict, problem, estimate, floor=floor), motions))
+    return OwnFit(estimate, tuple(in_order(partial(predict, problem, estimate, floor=floor), motions)))
 
 
-def motion_errors(before: Experiment, after: Experiment | None, options: FitOptions) -> tuple[tuple[MotionErrors, ...], str]:
-    """What two models leave of every motion, those that were not fitted first, and what to say where one cannot be fitted.
+def before_and_after(before: Experiment, after: Experiment | None, options: FitOptions) -> BeforeAndAfter:
+    """Fit two models of the same recordings; the second may be None.
 
-    Both are of the same recordings; ``after`` may be None. ``options`` say which readings and motions; the effects are those of
-    the experiments. There are no errors where the first cannot be fitted.
+    ``options`` say which readings and motions; the effects are those of the experiments.
     """
     try:
         one = fit_and_predict(prepare(before, options))
     except InputError as error:  # a diagnosis may compare what leaves no rows to fit
-        return (), f"What the model leaves of the motions is not given, for `identify` cannot fit it: {error}."
-    other, refused = {}, ""
+        return BeforeAndAfter(
+            refused=f"What the model leaves of the motions is not given, for `identify` cannot fit it: {error}."
+        )
+    other, refused = None, ""
     try:
         if after is not None:
-            other = {p.motion: p for p in fit_and_predict(prepare(after, options))}
+            other = fit_and_predict(prepare(after, options))
     except (InputError, np.linalg.LinAlgError) as error:
         refused = f"What the model with the effects named leaves is not given, for `identify` cannot fit it: {error}."
-    found = [MotionErrors(p.motion, p.fitted, p, other.get(p.motion)) for p in one]
-    return tuple(sorted(found, key=lambda e: e.fitted)), refused
+    later = {} if other is None else {p.motion: p for p in other.predictions}
+    errors = [MotionErrors(p.motion, p.fitted, p, later.get(p.motion)) for p in one.predictions]
+    shifts = () if other is None else _shifts(one.estimate, other.estimate)
+    return BeforeAndAfter(tuple(sorted(errors, key=lambda e: e.fitted)), shifts, refused)
+
+
+def _shifts(before: Estimate, after: Estimate) -> tuple[Shift, ...]:
+    """Base parameters of both models that move by more than three standard deviations of the second, most first."""
+    if after.std is None:
+        return ()
+    old = dict(zip(before.base.labels, before.values.tolist(), strict=True))
+    moved = [
+        Shift(label, old[label], value, (old[label] - value) / std)
+        for label, value, std in zip(after.base.labels, after.values.tolist(), after.std.tolist(), strict=True)
+        if label in old and 0.0 < std < np.inf
+    ]
+    return tuple(sorted((s for s in moved if abs(s.sigmas) > 3.0), key=lambda s: -abs(s.sigmas)))

@@ -23,7 +23,7 @@ from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.push import Push, find_push, less_push, measured_push, without_push
 from bayesid.diagnosis.remarks import next_experiment, remarks
-from bayesid.diagnosis.search import Found, Search, base_shifts, certain, holds_below, search
+from bayesid.diagnosis.search import Found, Search, certain, holds_below, search
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.stability import Stability, stability
 from bayesid.diagnosis.validation import Gap, residual_spectra, validate
@@ -36,7 +36,7 @@ from bayesid.regression.readings import default_channel
 from bayesid.results.changes import Changes
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.excitation import NEXT_MOTION, telling_sentence
-from bayesid.validation.own_fit import motion_errors
+from bayesid.validation.own_fit import before_and_after
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 
 
@@ -222,7 +222,6 @@ def _concluded(found: _Decided, seed: int, progress: Progress) -> Diagnosis:
         found=named,
         where=_places(s, s.base),
         gap=gap,
-        shifts=base_shifts(s) if named else (),
         remarks=remarks(s, gap, decided, why, parts, tried, contradicted),
         next_experiment=next_experiment(decided, named, poses=data.poses),
         stability=parts if named else (),
@@ -233,14 +232,16 @@ def _concluded(found: _Decided, seed: int, progress: Progress) -> Diagnosis:
 
 
 def _with_errors(result: Diagnosis, push: Push | None, motions: Sequence[str] | None, progress: Progress) -> Diagnosis:
-    """The diagnosis with what `bayesid.identify` leaves of every motion without and with the effects named, less a push."""
+    """The diagnosis with what `bayesid.identify` finds without and with the effects named, of recordings less a push."""
     progress("errors without and with what is named" if result.found else "errors")
     experiment, (effects, values) = result.data.experiment, result.model
     if push is not None:
         experiment = less_push(experiment, push)
     after = replace(experiment, effects=effects, effect_values=values) if result.found else None
-    errors, refused = motion_errors(experiment, after, FitOptions(result.data.channel, motions=motions))
-    return replace(result, errors=errors, remarks=(*result.remarks, *([refused] if refused else [])))
+    both = before_and_after(experiment, after, FitOptions(result.data.channel, motions=motions))
+    shifts = both.shifts if result.data.prior is not None else ()  # of nominal links that are exact nothing moves
+    remarks = (*result.remarks, *([both.refused] if both.refused else []))
+    return replace(result, errors=both.errors, shifts=shifts, remarks=remarks)
 
 
 def _with_push(rest: Diagnosis, push: Push, data: DiagnosisData) -> Diagnosis:

@@ -10,7 +10,7 @@ import bayesid
 from bayesid.errors import BayesidError
 from bayesid.estimators.nonlinear import default_method
 from bayesid.regression.options import FitOptions
-from bayesid.validation.own_fit import left_text, motion_errors
+from bayesid.validation.own_fit import before_and_after, left_text
 from tests.malformed import DATA
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
@@ -49,7 +49,7 @@ def agree(one, channel: str | None = None) -> None:
     told = {
         "check": checked.left if problem.channel == checked.channel else (),
         "compare": (*compared.fitted, *compared.validation),
-        "diagnose": [e.before for e in motion_errors(one, None, FitOptions(problem.channel))[0]],
+        "diagnose": [e.before for e in before_and_after(one, None, FitOptions(problem.channel)).errors],
     }
     for verb, predictions in told.items():
         assert {p.motion for p in predictions} in (set(expected), set()), verb
@@ -102,8 +102,31 @@ def test_a_model_that_cannot_be_fitted_is_said_to_be_one(robot):
     """Errors are left out with their reason, not silently."""
     one = simulated(robot, 1)
     impossible, options = replace(one, effects=("no_such_effect",)), FitOptions("torque")
-    errors, why = motion_errors(one, impossible, options)
-    assert errors and all(e.after is None for e in errors) and "with the effects named" in why and "no_such_effect" in why
-    none, why = motion_errors(impossible, None, options)
-    assert none == () and "cannot fit it" in why
-    assert motion_errors(one, None, options)[1] == ""
+    both = before_and_after(one, impossible, options)
+    assert both.errors and all(e.after is None for e in both.errors)
+    assert "with the effects named" in both.refused and "no_such_effect" in both.refused
+    nothing = before_and_after(impossible, None, options)
+    assert nothing.errors == () and "cannot fit it" in nothing.refused
+    assert before_and_after(one, None, options).refused == ""
+
+
+def test_base_parameters_move_as_identify_estimates_them(robot):
+    """Without friction of two joints in the model, torques bend the links' parameters; the diagnosis says as much as identify."""
+    one = simulated(robot, 3)
+    motions = []
+    for m in one.motions:
+        speed = np.gradient(m.table.positions, m.table.times, axis=0)
+        motions.append(replace(m, table=replace(m.table, torques=m.table.torques + 4.0 * speed)))
+    one = replace(one, motions=tuple(motions))
+    found = bayesid.diagnose(one, "torque", progress=None)
+    assert found.verdict == "named" and found.shifts
+    effects, values = found.model
+    plain, more = (
+        bayesid.identify(replace(one, effects=e, effect_values=v), "torque", progress=None)
+        for e, v in (((), {}), (effects, values))
+    )
+    for shift in found.shifts:
+        k = more.base.labels.index(shift.label)
+        assert shift.after == pytest.approx(more.values[k], rel=1e-12)
+        assert shift.before == pytest.approx(plain.values[plain.base.labels.index(shift.label)], rel=1e-12)
+        assert shift.sigmas == pytest.approx((shift.before - shift.after) / more.std[k], rel=1e-9) and abs(shift.sigmas) > 3.0
