@@ -49,6 +49,15 @@ class Channels:
         """Digest of all that it holds, the same for equal channels."""
         return fingerprint(self)
 
+    @cached_property
+    def root_twists(self) -> np.ndarray:
+        """Twists in their joint's frame, those on the root in the base frame (c, 6)."""
+        # From the frame of computing, whose pose in the base is (R, p), to the base frame: (R l + p x R w; R w).
+        rotation, translation = self.reference_rotation, self.reference_translation
+        angular = self.twist[:, 3:] @ rotation.T
+        moved = np.hstack([self.twist[:, :3] @ rotation.T + np.cross(translation, angular), angular])
+        return np.where((self.joint < 0)[:, None], moved, self.twist)
+
 
 def wrench_channels(robot: Robot, rotation: np.ndarray, translation: np.ndarray) -> Channels:
     """Channels of the robot's force/torque sensor: force before moment, in the sensor frame.
@@ -101,22 +110,13 @@ def torque_channels(robot: Robot) -> Channels:
     )
 
 
-def root_twists(channels: Channels) -> np.ndarray:
-    """Twists in their joint's frame, those on the root in the base frame (c, 6)."""
-    # From the frame of computing, whose pose in the base is (R, p), to the base frame: (R l + p x R w; R w).
-    rotation, translation = channels.reference_rotation, channels.reference_translation
-    angular = channels.twist[:, 3:] @ rotation.T
-    moved = np.hstack([channels.twist[:, :3] @ rotation.T + np.cross(translation, angular), angular])
-    return np.where((channels.joint < 0)[:, None], moved, channels.twist)
-
-
 def stack_channels(wrench: Channels, torque: Channels) -> Channels:
     """Both sets of channels together, computed in the base frame."""
     return Channels(
         names=wrench.names + torque.names,
         units=wrench.units + torque.units,
         joint=np.concatenate([wrench.joint, torque.joint]),
-        twist=np.vstack([root_twists(wrench), torque.twist]),
+        twist=np.vstack([wrench.root_twists, torque.twist]),
         bodies=np.vstack([wrench.bodies, torque.bodies]),
         reference_rotation=torque.reference_rotation,
         reference_translation=torque.reference_translation,

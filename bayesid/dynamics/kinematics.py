@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from bayesid.dynamics import newton_euler
-from bayesid.dynamics.channels import WRENCH_NAMES, Channels, root_twists
+from bayesid.dynamics.channels import WRENCH_NAMES, Channels
 from bayesid.dynamics.newton_euler import BLOCK, LANES, STATE, add, cross, dot, get_one, jit, put_one
 from bayesid.dynamics.regressors import add_up_readings, chain
 from bayesid.robot import inertia
@@ -131,7 +131,7 @@ def channel_twists(robot: Robot, channels: Channels, states: np.ndarray) -> np.n
     """Twist of each channel about the base origin, (N, c, 6)."""
     out = np.empty((len(states), len(channels), 6))
     rows = np.where(channels.joint < 0, robot.n, channels.joint)
-    _twists(states, rows, kernel_input(root_twists(channels)), out)
+    _twists(states, rows, kernel_input(channels.root_twists), out)
     return out
 
 
@@ -160,7 +160,7 @@ def readings_of_bodies(
     """
     q, v, a = (kernel_input(x) for x in motion)
     out = np.empty((len(q), len(channels)))
-    twists = channels.joint, root_twists(channels), np.full(len(channels), -1)
+    twists = channels.joint, channels.root_twists, np.full(len(channels), -1)
     chained = *_tables(robot), np.array(gravity, float)
     add_up_readings(q, v, a, *chained, *twists, carries, row_of, kernel_input(links), out)
     return out

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TypeVar, cast
 
 import numpy as np
@@ -44,6 +44,13 @@ Family = TypeVar("Family", bound=Effect)
 
 #: Share of the bandwidth that a flexible joint's torque is smoothed to, to be differentiated twice, unless `clear` is known.
 FLEXIBLE_BANDWIDTH = 0.7
+
+
+@lru_cache(maxsize=64)
+def _torques_of(robot: Robot, joints: tuple[int, ...]) -> tuple[Channels, np.ndarray]:
+    """Channels of the torques of some joints, and which bodies each carries, the root last (k, b + 1)."""
+    channels = torque_channels(robot).only(joints)
+    return channels, np.hstack([channels.bodies, np.zeros((len(channels), 1), bool)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,9 +251,7 @@ class Model:
 
     def link_torque(self, link: Motion, joints: np.ndarray) -> np.ndarray:
         """Torques (N, k) [N m or N] that a link motion takes of some joints (k,)."""
-        channels = torque_channels(self.robot).only(joints)
-        carries = np.hstack([channels.bodies, np.zeros((len(channels), 1), bool)])
-        return self.taken(channels, carries, link)
+        return self.taken(*_torques_of(self.robot, tuple(map(int, joints))), link)
 
     def taken(self, channels: Channels, carries: np.ndarray, link: Motion) -> np.ndarray:
         """True wrench and link-side torques of some channels (N, c) if links moved so, (N, n) each, on a root at rest."""
