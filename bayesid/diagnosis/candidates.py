@@ -276,7 +276,7 @@ def make_library(
     for effect in effects:
         for about in effect.linearisations(around) if effect.sought(around) else ():
             beside = tuple(t for t in at.terms if t.effect != effect)
-            own = term_rows(data, data.segments, at.links, beside, Term(effect, tuple(about.at)))
+            own = term_rows(data, data.segments, at.links, beside, Term(effect, tuple(about.at)), again=True)
             if np.isfinite(own).all():  # a formula of the user's need not mean something everywhere
                 found_.append((effect, about))
                 rows.append(own)

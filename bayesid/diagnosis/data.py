@@ -14,7 +14,7 @@ from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.dynamics.channels import Channels
 from bayesid.effects import Effect, Term, columns, readings, rigid_columns
 from bayesid.effects.exact import effect_derivatives_at_joint
-from bayesid.effects.families import EncoderEffect, JointDelayEffect, JointGainEffect, needs_no_load
+from bayesid.effects.families import EncoderEffect, JointDelayEffect, JointGainEffect, comes_on_top, needs_no_load
 from bayesid.effects.model import Model
 from bayesid.recordings.experiment import Experiment
 from bayesid.robot.prior import Prior
@@ -125,22 +125,27 @@ def residual_rows(
 
 
 def term_rows(
-    data: DiagnosisData, segments: Sequence[SpectralSegment], links: np.ndarray, terms: Sequence[Term], term: Term
-) -> np.ndarray:
-    """Whitened derivatives of the readings with respect to a term's parameters beside other terms (rows, k)."""
+    data: DiagnosisData, segments: Sequence[SpectralSegment], links: np.ndarray, terms: Sequence[Term], term: Term,
+    again: bool = False,
+) -> np.ndarray:  # fmt: skip
+    """Whitened derivatives of the readings with respect to a term's parameters beside other terms (rows, k).
+
+    Say whether those at the same values will be asked for ``again``; where neither links nor the other terms have a part in them
+    they are kept then.
+    """
     parts = []
     for s in segments:
         if active_terms(s, [term]):
-            parts.append(_white_columns(data, s, links, active_terms(s, terms), term))
+            parts.append(_white_columns(data, s, links, active_terms(s, terms), term, again))
         else:
             parts.append(np.zeros((s.shape[0] * s.shape[1], len(term.values))))
     return np.vstack(parts)
 
 
 def _white_columns(
-    data: DiagnosisData, segment: SpectralSegment, links: np.ndarray, terms: tuple[Term, ...], term: Term
+    data: DiagnosisData, segment: SpectralSegment, links: np.ndarray, terms: tuple[Term, ...], term: Term, again: bool
 ) -> np.ndarray:
-    """Rows of one segment (rows, k); those of what the joint's motion alone says are transformed once."""
+    """Rows of one segment (rows, k); those of what the motion alone says are transformed once."""
     effect, channels = term.effect, {joint: channel for channel, joint in segment.torque_channels}
     if needs_no_load(effect) and effect.joint in channels:
         # What another joint's encoder or drive does is nothing to this joint's torque.
@@ -155,9 +160,16 @@ def _white_columns(
 
         key = effect, term.values if effect.shape else (), beside
         return segment.white_rows(live, segment.kept.get(key, made))
-    with np.errstate(all="ignore"):  # as above
-        found = columns(data.robot, data.channels, segment.trajectory, links, terms, effect, term.values)
-    return segment.white(found)
+
+    def transformed() -> tuple[np.ndarray, np.ndarray]:
+        with np.errstate(all="ignore"):  # as above
+            found = columns(data.robot, data.channels, segment.trajectory, links, terms, effect, term.values)
+        return segment.live_spectrum(found)
+
+    if (again or not effect.shape) and all(comes_on_top(t.effect) for t in (*terms, term)):
+        # On top of what links make, and nothing is read otherwise than it is.
+        return segment.white_rows(*segment.kept.get((effect, term.values if effect.shape else ()), transformed))
+    return segment.white_rows(*transformed())
 
 
 def model_rows(data: DiagnosisData, segments: Sequence[SpectralSegment], links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:

@@ -122,7 +122,7 @@ def _columns(
     parts.append(model_rows(data, segments, best.links, best.terms))
     for t in candidates:
         # Beside the user's effects alone: an effect may come in for one of those found, so its columns must not hold that one's.
-        parts.append(term_rows(data, segments, best.links, data.terms, t))
+        parts.append(term_rows(data, segments, best.links, data.terms, t, again=True))
     for one in best.terms:
         without = residual_rows(data, segments, best.links, best.offset, tuple(t for t in best.terms if t is not one))
         parts.append((without - residual)[:, None])
