@@ -10,8 +10,8 @@ from bayesid.diagnosis.data import Episode, term_rows
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.spectra import SpectralSegment
-from bayesid.effects import Effect, ExternalContact, Term
-from bayesid.effects.loads import CONTACT_RAMP
+from bayesid.effects import ExternalContact, Term
+from bayesid.effects.loads import CONTACT_RAMP, ContactAnywhere
 
 #: Columns this much shorter than the longest say nothing.
 DEAD = 1e-6
@@ -75,16 +75,12 @@ def contact_terms(projector: NuisanceProjector, fit: Fit, left: np.ndarray) -> I
     _, start, end, motion = best
     residual = np.concatenate([left, np.zeros(projector.size)])
 
-    def columns_at(effect: Effect, force: np.ndarray) -> np.ndarray:
-        term = Episode(effect, (start, end, *force, 0.0, 0.0, 0.0), motion)
-        return projector.columns(term_rows(data, data.segments, fit.links, fit.terms, term))
-
     for effect in data.places(ExternalContact.name):
         if effect.where == "robot":
             continue
         # With the force f at the point r the reading is linear in f and in the products r f'.
-        unit = [columns_at(effect, axis) for axis in np.eye(3)]
-        rows = np.hstack([unit[0][:, 2:5], *(u[:, 5:8] for u in unit)])
+        anywhere = Episode(ContactAnywhere(effect.where, effect.joint), (start, end, *(0.0,) * 12), motion)
+        rows = projector.columns(term_rows(data, data.segments, fit.links, fit.terms, anywhere)[:, 2:])
         length = np.linalg.norm(rows, axis=0)
         length = np.where(length > DEAD * length.max(), length, np.inf)
         plain, *_ = np.linalg.lstsq(rows[:, :3] / length[:3], residual, rcond=1e-6)

@@ -172,6 +172,31 @@ class ExternalContact(LoadEffect):
         return ()  # it is sought in windows of time
 
 
+class ContactAnywhere(LoadEffect):
+    """A contact whose point is not known: linear in its force f and in the products of that with the point r. It has no name."""
+
+    at = "joint|robot"
+    quantities = (
+        *ExternalContact.quantities[:5],
+        *(Parameter(f"{force}_{point}", "N m") for force in ("fx", "fy", "fz") for point in ("x", "y", "z")),
+    )
+    once = True
+
+    def loads(self, robot, segment, states, values) -> Loads:
+        return [(body, x[:, :, 2:] @ np.asarray(values[2:])) for body, x in self.load_columns(robot, segment, states, values)]
+
+    def load_columns(self, robot, segment, states, values) -> Loads:
+        # Of the window alone: no force is known yet that it could move.
+        row = robot.n if self.joint is None else self.joint
+        axes, out = _axes(states, row), np.zeros((len(states), 6, 14))
+        if not segment.still:
+            pushes = contact_window(segment.times, values[0], values[1])[:, None, None] * np.eye(3)
+            out[:, :, 2:5] = _wrench(_at(states, row, (0.0, 0.0, 0.0))[:, :, None], pushes)
+            for k in range(3):
+                out[:, 3:, 5 + 3 * k : 8 + 3 * k] = _cross(axes, pushes[:, :, k, None])
+        return [(body_of(robot, self.joint), out)]
+
+
 def contact_window(times: np.ndarray, start: float, end: float) -> np.ndarray:
     """Share of a contact's force at each time (N,): up from its start and down to its end, along half a cosine."""
     share = np.clip(np.minimum((times - start) / CONTACT_RAMP, (end - times) / CONTACT_RAMP), 0.0, 1.0)
