@@ -17,7 +17,7 @@ from bayesid.diagnosis.fit import FEW_STEPS, STEPS, SWEEPS, Fit, advance, begin,
 from bayesid.diagnosis.grams import schwarz
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.settings import Settings
-from bayesid.effects import Term
+from bayesid.effects import Effect, Term
 from bayesid.regression.parallel import in_order
 
 #: Proposals fitted exactly in one round, in the place of an effect that was chosen from as many before, and of one kind at most;
@@ -180,18 +180,23 @@ def _exchanged(state: State) -> State:
     it may start better than where it first settled.
     """
     models, best, dispersion = state.models, state.best, state.dispersion
+    stays: dict[Effect, Fit] = {}  # by effect that was no worse than its rivals, the model in which it was asked
     for _ in range(SWEEPS):
         before = best
         for i in range(state.known, len(best.terms)):
             own, held = best.terms[i], tuple(t for k, t in enumerate(best.terms) if k != i)
             if not held or in_family(best.terms, i):
                 continue  # the first effect alone has just been chosen against all others, a family by many joints
+            if stays.get(own.effect) is best:
+                continue
             models, without = models.own(fit(best.projector, held, best, steps=FEW_STEPS))
             models, library = models.library(without)
             rivals = [p for p in library.propose(without) if p.name != own.effect.spec or len(own.effect.shape) > 1]
             models, fits = exact_fits(models, without, held, rivals, dispersion, _EXCHANGED)
             if fits and fits[0].score > best.score + dispersion:
                 best = fits[0]
+            else:
+                stays[own.effect] = best
         if best is before:
             break
     return replace(state, models=models, best=best)
