@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import numba
 import numpy as np
 from scipy.fft import dct, idct
 from scipy.ndimage import binary_opening, convolve, uniform_filter1d
@@ -24,6 +25,7 @@ from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.effects import REST_SPEED, MotionSegment
 from bayesid.effects.segment import Results
 from bayesid.signals import white_noise
+from bayesid.signals.arrays import kernel_input
 from bayesid.signals.white_noise import quiet_noise
 
 #: As many kinds of friction as there are, at each joint of a long arm and at every shape that is tried.
@@ -111,13 +113,23 @@ class SpectralSegment:
         def wide(x: np.ndarray) -> np.ndarray:
             return x.reshape(x.shape + (1,) * (samples.ndim - x.ndim))
 
-        weighted = samples * wide(averaged.weight)
-        rate = samples[np.minimum(averaged.at + 1, len(samples) - 1)]
-        rate -= samples[np.maximum(averaged.at - 1, 0)]
-        rate *= wide(averaged.rates)
-        weighted[averaged.at] -= rate
-        share = np.sinc(self.frequencies * self.step) * scale
+        if samples.flags.c_contiguous:
+            flat = samples.reshape(*samples.shape[:2], int(np.prod(samples.shape[2:])))
+            own = _weighted(*map(kernel_input, (flat, averaged.weight)), averaged.at, kernel_input(averaged.rates))
+            weighted = own.reshape(samples.shape)
+        else:  # as numbers lie, which transforms are quick or slow with
+            weighted = samples * wide(averaged.weight)
+            rate = samples[np.minimum(averaged.at + 1, len(samples) - 1)]
+            rate -= samples[np.maximum(averaged.at - 1, 0)]
+            rate *= wide(averaged.rates)
+            weighted[averaged.at] -= rate
+        share = self._mean_share * scale
         return np.asarray(dct(weighted, axis=0, norm="ortho", overwrite_x=True))[: len(share)] * wide(share)
+
+    @cached_property
+    def _mean_share(self) -> np.ndarray:
+        """Share of a coefficient that is left of means over a sample's time (K,)."""
+        return np.sinc(self.frequencies * self.step)
 
     @cached_property
     def _trajectory_weight(self) -> np.ndarray:
@@ -233,6 +245,22 @@ class SpectralSegment:
     def white(self, samples: np.ndarray) -> np.ndarray:
         """Predicted samples (M, c, ...) as white rows (K c, ...); channels that are zero throughout cost nothing."""
         return self.white_rows(*self.live_spectrum(samples))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _weighted(samples, weight, at, rates):
+    """Weighted samples (M, c, k), less differences between those before and after some (m,) times factors (m, c)."""
+    out = np.empty(samples.shape)
+    for m in range(samples.shape[0]):
+        for c in range(samples.shape[1]):
+            for k in range(samples.shape[2]):
+                out[m, c, k] = samples[m, c, k] * weight[m, c]
+    for i, m in enumerate(at):
+        after, before = min(m + 1, len(samples) - 1), max(m - 1, 0)
+        for c in range(samples.shape[1]):
+            for k in range(samples.shape[2]):
+                out[m, c, k] -= (samples[after, c, k] - samples[before, c, k]) * rates[i, c]
+    return out
 
 
 def _transform(samples: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
