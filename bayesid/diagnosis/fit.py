@@ -105,6 +105,7 @@ class Iterate:
     #: Of the readings, by effect that is fitted; some may be those of values close by.
     derivatives: Mapping[Effect, Derivatives] = field(default_factory=dict)
     exact: bool = False  # whether all of them are those of the values and links as they are
+    made: Mapping[Effect, Derivatives] = field(default_factory=dict)  # those that are known to be
 
 
 def begin(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None) -> Iterate:
@@ -133,8 +134,9 @@ def _stepped(now: Iterate) -> Iterate:
     # What matters is a change beside all that no model explains, as evidence is judged.
     left_over = max(now.chi2 / max(projector.rows, 1), 1.0)
     links, _ = projector.split(u)
-    derivatives, exact = _derivatives(projector, links, terms, now.derivatives, left_over)
-    anew = replace(now, derivatives={})
+    derivatives, made = _derivatives(projector, links, terms, now.derivatives, left_over, now.made)
+    exact = len(made) == len(derivatives)
+    anew = replace(now, derivatives={}, made=made)
     jacobian = _side_by_side(projector, terms, derivatives)
     if not np.isfinite(jacobian).all():
         return replace(now, settled=True)
@@ -169,30 +171,35 @@ def _stepped(now: Iterate) -> Iterate:
             return replace(
                 now, terms=trial, coordinates=moved, rows=rows, prior=prior, chi2=chi2, steps=now.steps + 1,
                 damping=0.1 * damping if damping > 1e-7 else 0.0, settled=done and exact,
-                derivatives={} if done else derivatives, exact=False,
+                derivatives={} if done else derivatives, exact=False, made={},
             )  # fmt: skip
         damping = max(10.0 * damping, 1e-4)
-    return replace(now, settled=True) if exact else anew
+    return replace(now, settled=True, derivatives=derivatives, exact=True) if exact else anew
 
 
 def _derivatives(
-    projector: NuisanceProjector, links: np.ndarray, terms: tuple[Term, ...], known: Mapping[Effect, Derivatives], change: float
-) -> tuple[dict[Effect, Derivatives], bool]:
-    """Derivatives by effect that is fitted, and whether all are made anew.
+    projector: NuisanceProjector, links: np.ndarray, terms: tuple[Term, ...], known: Mapping[Effect, Derivatives], change: float,
+    made: Mapping[Effect, Derivatives],
+) -> tuple[dict[Effect, Derivatives], dict[Effect, Derivatives]]:  # fmt: skip
+    """Derivatives by effect that is fitted, and those among them that are of the values and links as they are.
 
-    Those that are known stay where the effect's values have changed the whitened readings by less since.
+    Those that are ``made`` already are; those that are ``known`` stay where the effect's values have changed the whitened
+    readings by less since.
     """
-    data, out, exact = projector.data, {}, True
+    data, out, anew = projector.data, {}, {}
     for t in terms:
         if data.fixed(t):
             continue
         own = known.get(t.effect)
-        if own is not None and own.changed_by(t) < change:
-            out[t.effect], exact = own, False
+        if t.effect in made:
+            out[t.effect] = anew[t.effect] = made[t.effect]
+        elif own is not None and own.changed_by(t) < change:
+            out[t.effect] = own
         else:
             beside = tuple(x for x in terms if x is not t)
-            out[t.effect] = Derivatives(np.array(t.values), term_rows(data, data.segments, links, beside, t))
-    return out, exact
+            rows = term_rows(data, data.segments, links, beside, t)
+            out[t.effect] = anew[t.effect] = Derivatives(np.array(t.values), rows)
+    return out, anew
 
 
 def _side_by_side(projector: NuisanceProjector, terms: tuple[Term, ...], derivatives: Mapping[Effect, Derivatives]) -> np.ndarray:
@@ -234,7 +241,7 @@ def finish(now: Iterate) -> Fit:
     projector, free, terms = now.projector, now.free, now.terms
     data, rows, chi2 = projector.data, now.rows, now.chi2
     links, offset = projector.split(now.coordinates)
-    derivatives = now.derivatives if now.exact else _derivatives(projector, links, terms, {}, 0.0)[0]
+    derivatives = now.derivatives if now.exact else _derivatives(projector, links, terms, {}, 0.0, now.made)[0]
     jacobian = _side_by_side(projector, terms, derivatives)
     possible = bool(np.isfinite(chi2) and projector.finite and np.isfinite(jacobian).all())
     if not possible:  # diverged: refused
