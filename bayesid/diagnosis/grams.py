@@ -59,7 +59,9 @@ class Grams:
 
     def _active(self, effects: Sequence[int]) -> np.ndarray:
         """Columns that a fit of these effects has."""
-        return np.concatenate([np.arange(self.always), self.always + np.flatnonzero(np.isin(self.owners, list(effects)))])
+        chosen = np.zeros(self.traces + int(self.owners.max(initial=0)) + 1, bool)
+        chosen[list(effects)] = True
+        return np.concatenate([np.arange(self.always), self.always + np.flatnonzero(chosen[self.owners])])
 
     def fitted(self, gram: np.ndarray, effects: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Combination of columns that a fit of these effects leaves (p,), and its amplitudes of all effects' columns (k,).

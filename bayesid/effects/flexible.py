@@ -29,7 +29,6 @@ Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 _TURNS, _SETTLED = 5, 1e-7
 #: Near the resonance, where ``|1 - compliance I w^2|`` is less than the root of this, little is corrected.
 _DAMPING = 0.05
-_LIVING = DEGREE + 1  # functions that live at each time
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +58,8 @@ class Basis:
 
     def moved(self, coefficients: np.ndarray) -> Motion:
         """Position, velocity and acceleration (N,) of coefficients (k,)."""
-        q, v, a = (_times(self.first, part, coefficients) for part in self.values)
-        return q, v, a
+        out = _sums(self.first, self.values, coefficients)
+        return out[0], out[1], out[2]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -77,12 +76,13 @@ def _normal_band(first, system, own, damping, count):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _times(first, rows, coefficients):
-    """Sums of coefficients (k,) of the functions that live at each time (N,), with rows (N, 6)."""
-    out = np.zeros(len(first))
-    for n in range(len(first)):
-        for i in range(rows.shape[1] - 1, -1, -1):  # in the order in which sparse matrices add up
-            out[n] += rows[n, i] * coefficients[first[n] + i]
+def _sums(first, values, coefficients):
+    """Sums of coefficients (k,) of the functions that live at each time (3, N), with values (3, N, 6)."""
+    out = np.zeros(values.shape[:2])
+    for order in range(values.shape[0]):
+        for n in range(len(first)):
+            for i in range(values.shape[2] - 1, -1, -1):  # in the order in which sparse matrices add up
+                out[order, n] += values[order, n, i] * coefficients[first[n] + i]
     return out
 
 
@@ -158,11 +158,11 @@ def splines(times: np.ndarray, cutoff: float) -> Basis:
     inside = np.clip(times, knots[DEGREE], knots[-DEGREE - 1])
     size = pieces + DEGREE
     first = np.clip(np.searchsorted(knots, inside, side="right") - 1 - DEGREE, 0, pieces - 1)
-    living = first[:, None] + np.arange(_LIVING)
-    out = np.empty((3, len(times), _LIVING))
+    out = np.zeros((3, len(times), DEGREE + 1))
     for order in range(3):
         part = BSpline.design_matrix(inside, knots[order : len(knots) - order], DEGREE - order)
         # A uniform spline's derivative is one of a degree less, with its coefficients' differences.
         difference = np.diff(np.eye(size), n=order, axis=0) / spacing**order
-        out[order] = (part @ sparse.csr_array(difference)).toarray()[np.arange(len(times))[:, None], living]
+        columns = sparse.coo_array(part @ sparse.csr_array(difference))
+        out[order, columns.row, columns.col - first[columns.row]] = columns.data
     return Basis(first, out, size)

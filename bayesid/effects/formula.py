@@ -14,6 +14,7 @@ import ast
 import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -50,6 +51,7 @@ class Formula:
     names: frozenset[str]  # variables and parameters in it
 
     @classmethod
+    @lru_cache(maxsize=4096)
     def parse(cls, text: str) -> Formula:
         """Check a text; an `InputError` where it is no formula, or has something in it that may not stand there."""
         if len(text) > _LONGEST:

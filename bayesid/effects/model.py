@@ -326,7 +326,7 @@ class Model:
         """True wrench and link-side torques of some channels (N, c)."""
         rotors, loads = self.of_family(families.RotorEffect), self.of_family(families.LoadEffect)
         if own or not (rotors or loads or any(t.effect.amplifies_encoder_errors for t in self._physical)):
-            out = project(twists, body_wrenches(states, self.row_of, self.bodies, self.gravity), carries)
+            out = self._carried(twists, states, carries)
         else:
             out = self._of_bodies.copy()
         for body, force in self._loads(states):
@@ -341,9 +341,15 @@ class Model:
         key = ("bodies", self._key, self.channels.fingerprint, self.bodies.tobytes(), self.gravity.tobytes())
 
         def made() -> np.ndarray:
-            return project(self.twists, body_wrenches(self.states, self.row_of, self.bodies, self.gravity), self.carries)
+            return self._carried(self.twists, self.states, self.carries)
 
         return self.segment.results.get(key, made)
+
+    def _carried(self, twists: np.ndarray, states: np.ndarray, carries: np.ndarray) -> np.ndarray:
+        """Readings (N, c) of what the bodies' motion and weight take, of those that any channel carries (c, b + 1)."""
+        some = carries.any(axis=0)
+        wrenches = body_wrenches(states, self.row_of[some], self.bodies[some], self.gravity)
+        return project(twists, wrenches, np.ascontiguousarray(carries[:, some]))
 
     @cached_property
     def twists(self) -> np.ndarray:

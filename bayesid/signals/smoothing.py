@@ -14,7 +14,7 @@ from math import comb, factorial
 
 import numba
 import numpy as np
-from scipy.linalg import get_lapack_funcs, solveh_banded
+from scipy.linalg import get_lapack_funcs
 
 from bayesid.errors import InputError
 from bayesid.signals.arrays import kernel_input
@@ -218,6 +218,9 @@ class Splines:
 
     def motion(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position, velocity and acceleration (M, ...) of coefficients (k, ...)."""
+        if coefficients.ndim == 1:
+            out = _sums(self.first, self.values, kernel_input(coefficients))
+            return out[0], out[1], out[2]
         own = coefficients[self.first[:, None] + np.arange(_ORDER)]
         q, v, a = np.einsum("dmf,mf...->dm...", self.values, own)
         return q, v, a
@@ -240,7 +243,10 @@ class Splines:
         band, right = _normal_equations(self.first, kernel_input(rows), columns, self.count)
         # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
         band[-1] += damping * band[-1] + 1e-14 * band[-1].max()
-        return solveh_banded(band, right, check_finite=False).reshape(self.count, *values.shape[1:])
+        _, solved, failed = _solve_banded(band, right)  # LAPACK itself, as above
+        if failed:
+            raise np.linalg.LinAlgError(f"{failed}th leading minor not positive definite")
+        return solved.reshape(self.count, *values.shape[1:])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -271,6 +277,19 @@ def _normal_equations(living, rows, values, count):
             for column in range(values.shape[1]):
                 right[k + i, column] += rows[sample, i] * values[sample, column]
     return band, right
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _sums(first, values, coefficients):
+    """Sums of coefficients (k,) of the six functions that live at each time (3, N), with values (3, N, 6)."""
+    out = np.empty(values.shape[:2])
+    for order in range(values.shape[0]):
+        for sample in range(len(first)):
+            v, k = values[order, sample], first[sample]
+            even = v[0] * coefficients[k] + v[2] * coefficients[k + 2] + v[4] * coefficients[k + 4]
+            odd = v[1] * coefficients[k + 1] + v[3] * coefficients[k + 3] + v[5] * coefficients[k + 5]
+            out[order, sample] = even + odd
+    return out
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
