@@ -4,6 +4,10 @@
 Robots and sensor are those of `coverage_case`, its motions a few times faster, so that encoders matter; readings come from
 Pinocchio's recursive Newton-Euler algorithm with a free-flyer under the base. Every recording is of another robot, whose links
 are unlike the URDF's: intervals of an estimator that knows the URDF are to hold for robots like that, not for one of them.
+
+One kind, ``servo``, is made as a real recording comes about: a controller makes joints with friction follow another motion each
+time, so that accelerations jump a little wherever a joint reverses, faster than any encoder shows; each reading is the mean
+over its sample's time; and there is no static run.
 """
 
 from __future__ import annotations
@@ -43,23 +47,32 @@ STDS = (0.0, 5e-6, 2e-5, 1e-4)
 METHODS = ("ols", "wls", "gls", "tls", "iv", "huber", "student", "sdp")
 POSTERIOR = "posterior, flat prior"
 DRAWS = 500
-#: Robot, errors [rad], and whether they are white or counts.
+#: Robot, errors [rad], and whether they are white, counts, or white on a motion that is controlled.
 CASES = {
     f"{arm}, {kind}, {std:g} rad": (arm, std, kind)
     for arm in ARMS
     for kind in ("white", "counts")
     for std in STDS
     if std > 0.0 or kind == "white"
-}
+} | {"puma, servo, 2e-05 rad": ("puma", 2e-5, "servo")}
+#: Frequencies of a controlled motion, multiples of 0.05 Hz, and its largest acceleration [rad/s^2].
+WAVES, FASTEST = np.arange(8, 23), 5.0
+#: The controller's natural frequency [Hz] and damping ratio, Coulomb friction of each joint [N m] and the speed [rad/s] that it
+#: reverses within, and steps of the simulation a sample.
+CONTROL, DAMPING, COULOMB, REVERSAL, STEPS = 12.0, 0.7, 1.5, 0.004, 8
 
 
 @cache
 def plant(arm: str) -> pin.Model:
     """Pinocchio's model of an arm on a free-flyer; `wrench` gives it the links of each recording's robot."""
     case = setup(arm)
-    model = pin.buildModelFromXML(case.arm.urdf(), pin.JointModelFreeFlyer())
-    active = case.arm.joints or tuple(model.names)[2:]
-    still = [model.getJointId(name) for name in tuple(model.names)[2:] if name not in active]
+    return _with_active_joints(case, pin.buildModelFromXML(case.arm.urdf(), pin.JointModelFreeFlyer()), 2)
+
+
+def _with_active_joints(case: Setup, model: pin.Model, first: int) -> pin.Model:
+    """The model, of which the arm's joints are those from the first one on, with the locked ones fixed."""
+    active = case.arm.joints or tuple(model.names)[first:]
+    still = [model.getJointId(name) for name in tuple(model.names)[first:] if name not in active]
     reference = pin.neutral(model)
     for name, angle in case.arm.locked.items():
         reference[model.joints[model.getJointId(name)].idx_q] = angle
@@ -67,6 +80,37 @@ def plant(arm: str) -> pin.Model:
         model = pin.buildReducedModel(model, still, reference)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     return model
+
+
+def servo(arm: str, links: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, n) of joints with friction that a controller moves, and the mean wrench over each sample's time (N, 6)."""
+    case = setup(arm)
+    model = _with_active_joints(case, pin.buildModelFromXML(case.arm.urdf()), 1)
+    for joint, link in enumerate(links.reshape(-1, 10)):
+        model.inertias[joint + 1] = pin.Inertia.FromDynamicParameters(link)
+    data, step, n = model.createData(), 1.0 / RATE / STEPS, case.robot.n
+    times = step * np.arange(round(RATE * DURATION) * STEPS)
+    rate, phase = 2 * np.pi * 0.05 * WAVES, rng.uniform(0.0, 2 * np.pi, (len(WAVES), n))
+    size, angle = rng.normal(size=(len(WAVES), n)), times[:, None, None] * rate[:, None] + phase
+    wanted_a = np.sum(size * np.cos(angle), axis=1)
+    scale = FASTEST / np.abs(wanted_a).max(axis=0)
+    size = scale * size
+    wanted = case.centre - np.sum(size / rate[:, None] ** 2 * np.cos(angle), axis=1)
+    wanted_v, wanted_a = np.sum(size / rate[:, None] * np.sin(angle), axis=1), scale * wanted_a
+    frequency = 2 * np.pi * CONTROL
+    q, v = wanted[0].copy(), wanted_v[0].copy()
+    states = np.empty((3, len(times), n))
+    for k in range(len(times)):
+        asked = wanted_a[k] + 2 * DAMPING * frequency * (wanted_v[k] - v) + frequency**2 * (wanted[k] - q)
+        torque = pin.rnea(model, data, q, v, asked) - COULOMB * np.tanh(v / REVERSAL)
+        a = pin.aba(model, data, q, v, torque)
+        states[:, k] = q, v, a
+        v = v + step * a
+        q = q + step * v
+    averaged = wrench(arm, links, *states).reshape(-1, STEPS, 6).mean(axis=1)
+    # A sample's position is that of the middle of its time, between two steps.
+    middle = states[0].reshape(-1, STEPS, n)[:, STEPS // 2 - 1 : STEPS // 2 + 1].mean(axis=1)
+    return middle, averaged
 
 
 def wrench(arm: str, links: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -86,6 +130,11 @@ def record(name: str, rng: np.random.Generator) -> tuple[Experiment, np.ndarray]
     case = setup(arm)
     links = links_unlike(case.robot, rng)
     times = np.arange(round(RATE * DURATION)) / RATE
+    if kind == "servo":
+        q, read = servo(arm, links, rng)
+        q, read = q + std * rng.normal(size=q.shape), read + NOISE * rng.normal(size=read.shape)
+        motion = Motion("servo", "identification", Table(times, q, wrench=read))
+        return Experiment(arm, case.robot, (motion,), Sensor()), links
     q, v, a = case.trajectory(FASTER * (times + rng.uniform(0.0, 1.0 / RATE)))
     q, a = case.centre + (q - case.centre) / FASTER, FASTER * a
     count = std * 12**0.5
@@ -151,7 +200,9 @@ are those of [coverage](../coverage/README.md), motions {{ faster }} times faste
 `python -m tests.studies.encoder_coverage` made this page and [results.json](results.json) from seed {{ seed }}.
 
 In each cell: *coverage* in per cent of all parameters, in brackets that of the worst one, and the root mean square error in units
-of the standard deviation that was stated, which should be 1. *Error* is the root mean square error in units of that of `wls`,
+of the standard deviation that was stated, which should be 1. *servo* is another kind of recording: a controller of
+{{ control }} Hz moves joints with {{ coulomb }} N m of friction along another motion each time, so that accelerations jump wherever a joint
+reverses; readings are means over a sample's time, there is no static run, and no error is stated. *Error* is the root mean square error in units of that of `wls`,
 median of all parameters, least and most of these kinds. Every recording is of another robot, whose links are those of the URDF
 stretched and sheared by a tenth, and displaced by about 0.1 m, which is a wrist's length. `sdp` knows the URDF alone.
 {% for arm, table in tables.items() %}
@@ -215,7 +266,7 @@ def main(arguments: list[str]) -> None:
     results = {name: results[name] for name in CASES}
     rounded = write_numbers({"seed": given.seed, "cases": results}, given.docs / "results.json", digits=4)
     page = given.docs / "README.md"
-    write_page(PAGE, page, tables=tables(rounded["cases"]), seed=given.seed, faster=f"{FASTER:g}")
+    write_page(PAGE, page, tables=tables(rounded["cases"]), seed=given.seed, faster=f"{FASTER:g}", control=f"{CONTROL:g}", coulomb=f"{COULOMB:g}")
     state.unlink()
 
 
