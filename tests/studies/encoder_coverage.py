@@ -32,7 +32,7 @@ from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.tasks import cluster, map_tasks
-from tests.studies.coverage_case import ARMS, DURATION, NOISE, OFFSET, RATE, links_unlike, setup
+from tests.studies.coverage_case import ARMS, DURATION, NOISE, OFFSET, RATE, Setup, links_unlike, setup
 from tests.studies.interval_coverage import LEVEL, NAMES, band
 from tests.studies.page import parsed, write_numbers, write_page
 
@@ -200,11 +200,13 @@ are those of [coverage](../coverage/README.md), motions {{ faster }} times faste
 `python -m tests.studies.encoder_coverage` made this page and [results.json](results.json) from seed {{ seed }}.
 
 In each cell: *coverage* in per cent of all parameters, in brackets that of the worst one, and the root mean square error in units
-of the standard deviation that was stated, which should be 1. *servo* is another kind of recording: a controller of
-{{ control }} Hz moves joints with {{ coulomb }} N m of friction along another motion each time, so that accelerations jump wherever a joint
-reverses; readings are means over a sample's time, there is no static run, and no error is stated. *Error* is the root mean square error in units of that of `wls`,
+of the standard deviation that was stated, which should be 1. *Error* is the root mean square error in units of that of `wls`,
 median of all parameters, least and most of these kinds. Every recording is of another robot, whose links are those of the URDF
 stretched and sheared by a tenth, and displaced by about 0.1 m, which is a wrist's length. `sdp` knows the URDF alone.
+
+*servo* is another kind of recording: a controller of {{ control }} Hz moves joints with {{ coulomb }} N m of friction along another
+motion each time, so that accelerations jump a little wherever a joint reverses, faster than encoders show; readings are means
+over a sample's time, there is no static run, and no error is stated.
 {% for arm, table in tables.items() %}
 
 ## {{ arm }}
@@ -266,7 +268,8 @@ def main(arguments: list[str]) -> None:
     results = {name: results[name] for name in CASES}
     rounded = write_numbers({"seed": given.seed, "cases": results}, given.docs / "results.json", digits=4)
     page = given.docs / "README.md"
-    write_page(PAGE, page, tables=tables(rounded["cases"]), seed=given.seed, faster=f"{FASTER:g}", control=f"{CONTROL:g}", coulomb=f"{COULOMB:g}")
+    values = {"seed": given.seed, "faster": f"{FASTER:g}", "control": f"{CONTROL:g}", "coulomb": f"{COULOMB:g}"}
+    write_page(PAGE, page, tables=tables(rounded["cases"]), **values)
     state.unlink()
 
 
