@@ -104,7 +104,7 @@ def servo(arm: str, links: np.ndarray, rng: np.random.Generator) -> tuple[np.nda
         asked = wanted_a[k] + 2 * DAMPING * frequency * (wanted_v[k] - v) + frequency**2 * (wanted[k] - q)
         torque = pin.rnea(model, data, q, v, asked) - COULOMB * np.tanh(v / REVERSAL)
         a = pin.aba(model, data, q, v, torque)
-        states[:, k] = q, v, a
+        states[:, k] = q, v + 0.5 * step * a, a  # the speed at the time of the position, as central differences have it
         v = v + step * a
         q = q + step * v
     averaged = wrench(arm, links, *states).reshape(-1, STEPS, 6).mean(axis=1)
@@ -204,9 +204,9 @@ of the standard deviation that was stated, which should be 1. *Error* is the roo
 median of all parameters, least and most of these kinds. Every recording is of another robot, whose links are those of the URDF
 stretched and sheared by a tenth, and displaced by about 0.1 m, which is a wrist's length. `sdp` knows the URDF alone.
 
-*servo* is another kind of recording: a controller of {{ control }} Hz moves joints with {{ coulomb }} N m of friction along another
-motion each time, so that accelerations jump a little wherever a joint reverses, faster than encoders show; readings are means
-over a sample's time, there is no static run, and no error is stated.
+*servo* is another kind of recording: a controller of {{ control }} Hz moves joints with {{ coulomb }} N m of friction along
+another motion each time, so that accelerations jump a little wherever a joint reverses, faster than encoders show; readings are
+means over a sample's time, there is no static run, and no error is stated.
 {% for arm, table in tables.items() %}
 
 ## {{ arm }}
