@@ -35,12 +35,14 @@ from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import LongSegment, Segment
 from bayesid.robot.prior import states_masses, typical_links
 from bayesid.signals.filters import row_noise_poles
+from bayesid.signals.projection import ROLL_OFF
 from bayesid.signals.smoothing import Smoother, choose_smoother
 
 _S = TypeVar("_S", Segment, LongSegment, Segment | LongSegment)
 
-#: Rows a second, as a multiple of the bandwidth of the joint motion: products of joint motions reach higher.
-ROWS_PER_BANDWIDTH = 2.5
+#: Rows a second, as a multiple of the bandwidth of the joint motion: their kernels pass ``(1 + ROLL_OFF) / (2 step)`` and no more.
+#: Above that bandwidth smoothed positions lack motion that readings hold, where joints with friction reverse above all.
+ROWS_PER_BANDWIDTH = 2.0 / (1.0 + ROLL_OFF)
 #: At least this many rows a second, so that the noise can be told from the motion.
 LOWEST_ROW_RATE = 20.0
 #: Bandwidth of a motion that makes something ring, at least [Hz], as in a diagnosis.
