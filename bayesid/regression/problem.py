@@ -40,7 +40,7 @@ from bayesid.signals.smoothing import Smoother, choose_smoother
 
 _S = TypeVar("_S", Segment, LongSegment, Segment | LongSegment)
 
-#: Rows a second, as a multiple of the bandwidth of the joint motion: their kernels pass ``(1 + ROLL_OFF) / (2 step)`` and no more.
+#: Rows a second, as a multiple of the bandwidth of the joint motion: kernels pass ``(1 + ROLL_OFF) / (2 step)`` and no more.
 #: Above that bandwidth smoothed positions lack motion that readings hold, where joints with friction reverse above all.
 ROWS_PER_BANDWIDTH = 2.0 / (1.0 + ROLL_OFF)
 #: At least this many rows a second, so that the noise can be told from the motion.
