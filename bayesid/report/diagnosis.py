@@ -251,6 +251,8 @@ def _moved(d: Diagnosis) -> ShownSection:
     title, name = "What it did to the parameters", "Parameters"
     if d.data.prior is None:
         return ShownSection(title, ["Nothing: the nominal links are taken as exact."], name)
+    if all(e.after is None for e in d.errors):  # a remark says why
+        return ShownSection(title, ["Not known: identify has not fitted both models to these recordings."], name)
     if not d.shifts:
         nothing = "Hardly anything: no base parameter had moved by more than three of its standard deviations."
         return ShownSection(title, [nothing], name)

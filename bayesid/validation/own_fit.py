@@ -82,12 +82,12 @@ class OwnFit:
 
 @dataclass(frozen=True)
 class Shift:
-    """A base parameter without and with effects in the model, and by how many of the latter's standard deviations it moves."""
+    """A base parameter without and with effects in the model, in SI units of its label."""
 
     label: str
     before: float
     after: float
-    sigmas: float
+    sigmas: float  # before less after, in standard deviations of the latter
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,12 +138,10 @@ def before_and_after(before: Experiment, after: Experiment | None, options: FitO
 
 def _shifts(before: Estimate, after: Estimate) -> tuple[Shift, ...]:
     """Base parameters of both models that move by more than three standard deviations of the second, most first."""
-    if after.std is None:
-        return ()
     old = dict(zip(before.base.labels, before.values.tolist(), strict=True))
     moved = [
         Shift(label, old[label], value, (old[label] - value) / std)
         for label, value, std in zip(after.base.labels, after.values.tolist(), after.std.tolist(), strict=True)
-        if label in old and 0.0 < std < np.inf
+        if label in old and 0.0 < std < np.inf  # not a number where nothing is known
     ]
     return tuple(sorted((s for s in moved if abs(s.sigmas) > 3.0), key=lambda s: -abs(s.sigmas)))

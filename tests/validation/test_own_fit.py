@@ -10,6 +10,7 @@ import bayesid
 from bayesid.errors import BayesidError
 from bayesid.estimators.nonlinear import default_method
 from bayesid.regression.options import FitOptions
+from bayesid.results.files import report_of
 from bayesid.validation.own_fit import before_and_after, left_text
 from tests.malformed import DATA
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -130,3 +131,7 @@ def test_base_parameters_move_as_identify_estimates_them(robot):
         assert shift.after == pytest.approx(more.values[k], rel=1e-12)
         assert shift.before == pytest.approx(plain.values[plain.base.labels.index(shift.label)], rel=1e-12)
         assert shift.sigmas == pytest.approx((shift.before - shift.after) / more.std[k], rel=1e-9) and abs(shift.sigmas) > 3.0
+    # Where identify has fitted one of them alone, the page does not say that nothing moved.
+    unfitted = replace(found, shifts=(), errors=tuple(replace(e, after=None) for e in found.errors))
+    page = report_of(unfitted)
+    assert "has not fitted both models" in page and "Hardly anything" not in page
