@@ -51,7 +51,8 @@ def with_noise(
     share = weight.T @ weight / len(weight) + np.diag(~segment.alive)  # a channel that says nothing has any noise
     floor = (np.diag(sensor**2) if sensor.ndim == 1 else sensor) * share
     rough = np.zeros_like(scatter)
-    power = pooled(signal[:, :, None] ** 2, settings.neighbours // 2)[:, :, 0]
+    # Of what is read where the model predicts nothing: a joint without load whose friction is not in the model.
+    power = pooled(np.maximum(signal**2, segment.measured_readings**2), settings.neighbours // 2)
     rough[:, np.arange(channels), np.arange(channels)] = settings.accuracy**2 * power
     return segment.with_noise(floor + scatter + rough)
 
