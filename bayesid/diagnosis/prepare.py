@@ -14,7 +14,7 @@ from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import MotionSegment, Term, middle_of, starting_point
 from bayesid.errors import InputError
-from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.recordings.experiment import Experiment, Motion, motions_named
 from bayesid.recordings.table import usual_step
 from bayesid.regression.readings import default_channel, has_readings, make_channels, readings_of
 from bayesid.robot.prior import Prior
@@ -61,13 +61,8 @@ def prepare_data(
     """
     channel = channel or default_channel(experiment)
     channels = make_channels(experiment, channel)
-    names = [m.name for m in experiment.identification] if motions is None else list(motions)
-    known = {m.name for m in experiment.motions}
-    if motions is not None and not names:
-        raise InputError(f"{argument('motions')} names none; write one or more of {', '.join(sorted(known))}")
-    for name in names:
-        if name not in known:
-            raise InputError(f"{argument('motions', name)}: no such motion in experiment.toml; it has {', '.join(sorted(known))}")
+    asked = experiment.identification if motions is None else motions_named(experiment.motions, motions)
+    names = {m.name for m in asked}
     readable = [m for m in experiment.motions if has_readings(m.table, channel)]
     at_rest = not any(m.kind == "trajectory" for m in readable if m.name in names)
     usable = [m for m in readable if (m.kind == "poses") == at_rest]

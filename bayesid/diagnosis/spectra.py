@@ -110,21 +110,11 @@ class SpectralSegment:
             return _transform(samples, self._trajectory_weight[:, channels], len(self.frequencies)) * scale
         averaged = self._averaged(channels)
 
-        def wide(x: np.ndarray) -> np.ndarray:
-            return x.reshape(x.shape + (1,) * (samples.ndim - x.ndim))
-
-        if samples.flags.c_contiguous:
-            flat = samples.reshape(*samples.shape[:2], int(np.prod(samples.shape[2:])))
-            own = _weighted(*map(kernel_input, (flat, averaged.weight)), averaged.at, kernel_input(averaged.rates))
-            weighted = own.reshape(samples.shape)
-        else:  # as numbers lie, which transforms are quick or slow with
-            weighted = samples * wide(averaged.weight)
-            rate = samples[np.minimum(averaged.at + 1, len(samples) - 1)]
-            rate -= samples[np.maximum(averaged.at - 1, 0)]
-            rate *= wide(averaged.rates)
-            weighted[averaged.at] -= rate
+        flat = kernel_input(samples.reshape(*samples.shape[:2], int(np.prod(samples.shape[2:]))))
+        weighted = _weighted(flat, kernel_input(averaged.weight), averaged.at, kernel_input(averaged.rates))
         share = self._mean_share * scale
-        return np.asarray(dct(weighted, axis=0, norm="ortho", overwrite_x=True))[: len(share)] * wide(share)
+        out = np.asarray(dct(weighted, axis=0, norm="ortho", overwrite_x=True))[: len(share)] * share[:, None, None]
+        return out.reshape(len(share), *samples.shape[1:])
 
     @cached_property
     def _mean_share(self) -> np.ndarray:

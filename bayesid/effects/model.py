@@ -30,7 +30,7 @@ from bayesid.effects import families
 from bayesid.effects.bodies import body_of, rotor_couple, split_matrix
 from bayesid.effects.effect import Effect, Term, by_class
 from bayesid.effects.families import JointMotion, Loads, Readout
-from bayesid.effects.flexible import Motion, link_motion, own_inertia, splines
+from bayesid.effects.flexible import Motion, link_motion, own_inertia
 from bayesid.effects.mount import RigidMountLoad, mount_motion
 from bayesid.effects.play import Behind, Fitting, Recorded, leaning_poses
 from bayesid.effects.segment import MotionSegment
@@ -38,6 +38,7 @@ from bayesid.effects.sensor_chain import SensorChain
 from bayesid.effects.torque_chain import TorqueChain, coupling_matrix
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
+from bayesid.signals.smoothing import Splines
 
 Family = TypeVar("Family", bound=Effect)
 
@@ -230,9 +231,9 @@ class Model:
         cutoff = FLEXIBLE_BANDWIDTH * segment.bandwidth if segment.clear is None else segment.clear
         if poses or not felt.any():
             return link_motion((q, v, a), self.link_torque, compliance, felt, None) if felt.any() else (q, v, a)
-        basis = segment.basis.get(("splines", cutoff), lambda: splines(segment.times, cutoff))
+        splines = segment.basis.get(("splines", cutoff), lambda: Splines.over(segment.times, cutoff))
         stiff = None if play else np.stack([self._stiff(int(joint)) for joint in np.flatnonzero(compliance)], axis=1)
-        return link_motion((q, v, a), self.link_torque, compliance, felt, basis, stiff)
+        return link_motion((q, v, a), self.link_torque, compliance, felt, splines, stiff)
 
     def _felt(self, joint: int) -> np.ndarray:
         """Inertia (N,) that a joint feels where motors hold the joints [kg m^2 or kg]."""

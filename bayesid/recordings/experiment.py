@@ -6,12 +6,12 @@ import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesid.arguments import call
+from bayesid.arguments import argument, call
 from bayesid.drawing import Plots
 from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
@@ -39,6 +39,14 @@ from bayesid.robot.robot import Robot, load_robot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
+
+
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+M = TypeVar("M", bound=_Named)
 
 _UNVALIDATED = 'no motion has role "validation"'
 
@@ -361,6 +369,17 @@ class Experiment(Plots):
         effects, values, expressions = read_model(path)
         library = self.library.with_expressions(expressions, self.robot.n, Path(path).name)
         return replace(self, effects=effects, effect_values=values, library=library)
+
+
+def motions_named(motions: Sequence[M], asked: Sequence[str]) -> list[M]:
+    """Those of motions, recorded or planned, that the argument ``motions`` asks for; an `InputError` if it asks for others."""
+    by_name = {m.name: m for m in motions}
+    if not asked:
+        raise InputError(f"{argument('motions')} names none; write one or more of {', '.join(by_name)}")
+    for name in asked:
+        if name not in by_name:
+            raise InputError(f"{argument('motions', name)}: no such motion; there are {', '.join(by_name)}")
+    return [by_name[name] for name in asked]
 
 
 def load_experiment(folder: str | Path, library: EffectLibrary | None = None, *, planned: bool = False) -> Experiment:

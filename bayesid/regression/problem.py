@@ -14,7 +14,7 @@ from bayesid.dynamics.base_parameters import BaseParameters, structural_base
 from bayesid.dynamics.channels import Channels
 from bayesid.effects import Effect, EffectLibrary, Point, middle_of, starting_point
 from bayesid.errors import InputError
-from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.recordings.experiment import Experiment, Motion, motions_named
 from bayesid.regression.bandwidth import LOWEST, BandwidthChoice, choose_bandwidth
 from bayesid.regression.blocks import Block
 from bayesid.regression.encoder_noise import errors_of
@@ -384,10 +384,14 @@ def _known_poles(row_model: RowModel, fitted: Sequence[Segment | LongSegment]) -
 
 def _pilot(row_model: RowModel, fitted: Sequence[Segment | LongSegment]) -> Iterator[Block]:
     """Rows of short pieces of long segments, evenly spread, about `PILOT_ROWS` together."""
+    return make_blocks(row_model, list(pilot_pieces(row_model, fitted)))
+
+
+def pilot_pieces(row_model: RowModel, segments: Sequence[Segment | LongSegment]) -> Iterator[Segment]:
+    """Short pieces of segments, evenly spread, with about `PILOT_ROWS` rows together."""
     rows = PILOT_ROWS / PILOT_SEGMENTS * row_model.step
-    whole = sum(r.ends[1] - r.ends[0] for r in fitted if not r.poses)
-    pieces = []
-    for r in fitted:
+    whole = sum(r.ends[1] - r.ends[0] for r in segments if not r.poses)
+    for r in segments:
         begin, end = r.ends
         duration, length = end - begin, rows + row_model.margin + max(row_model.margin, r.settling)
         count = 1 if r.poses else round(PILOT_SEGMENTS * duration / whole)
@@ -395,22 +399,17 @@ def _pilot(row_model: RowModel, fitted: Sequence[Segment | LongSegment]) -> Iter
         for start in starts:
             a = r.index(start)
             b = a + PILOT_ROWS if r.poses else r.index(start + length, "right")
-            pieces.append(r.part(a, b))
-    return make_blocks(row_model, pieces)
+            yield r.part(a, b)
 
 
 def _choose(experiment: Experiment, motions: Sequence[str] | None) -> list[Motion]:
     if motions is None:
         return list(experiment.identification)
-    by_name = {m.name: m for m in experiment.motions}
-    if not motions:
-        raise InputError(f"{argument('motions')} names none; write one or more of {', '.join(by_name)}")
+    chosen = motions_named(experiment.motions, motions)
     for name in motions:
-        if name not in by_name:
-            raise InputError(f"{argument('motions', name)}: no such motion in experiment.toml; it has {', '.join(by_name)}")
         if list(motions).count(name) > 1:
             raise InputError(f"{argument('motions', name)}: is named twice, which would count its readings twice; name it once")
-    return [by_name[name] for name in motions]
+    return chosen
 
 
 def _require_length(motion: Motion, segments: Sequence[Segment | LongSegment], row_model: RowModel) -> None:

@@ -19,7 +19,7 @@ from scipy.linalg import get_lapack_funcs
 from bayesid.errors import InputError
 from bayesid.signals.arrays import kernel_input
 
-(_solve_banded,) = get_lapack_funcs(("pbsv",), dtype=np.float64)
+_solve_banded, _factor_banded, _solve_factored = get_lapack_funcs(("pbsv", "pbtrf", "pbtrs"), dtype=np.float64)
 #: A gap-free segment: times (N,) [s] and positions (N, n) [rad or m].
 Piece = tuple[np.ndarray, np.ndarray]
 
@@ -234,6 +234,21 @@ class Splines:
         own = self.nearest(values)[self.first[:, None] + np.arange(_ORDER)]
         return values - np.einsum("mf,mf...->m...", self.values[0], own)
 
+    def factored(self, rows: np.ndarray, small: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """Coefficients (k,) of least squares ``rows c = values`` by values (M,), beside ``small c = 0``.
+
+        Both kinds of rows (M, 6) multiply the six functions at each time. Of rows that are not finite there are none: NaN.
+        """
+        rows, nothing = kernel_input(rows), np.zeros((len(rows), 0))
+        band, beside = (_normal_equations(self.first, kernel_input(own), nothing, self.count)[0] for own in (rows, small))
+        band += beside
+        # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
+        band[-1] += 1e-14 * band[-1].max()
+        factor, failed = _factor_banded(band)
+        if failed:
+            return lambda _: np.full(self.count, np.nan)
+        return lambda values: _solve_factored(factor, _along(self.first, rows, kernel_input(values), self.count))[0]
+
     def solved(self, rows: np.ndarray, values: np.ndarray, damping: float = 0.0) -> np.ndarray:
         """Least squares ``rows c = values`` (k, ...), where the rows (M, 6) multiply the six functions at each time.
 
@@ -241,7 +256,6 @@ class Splines:
         """
         columns = kernel_input(values.reshape(len(values), -1))
         band, right = _normal_equations(self.first, kernel_input(rows), columns, self.count)
-        # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
         band[-1] += damping * band[-1] + 1e-14 * band[-1].max()
         _, solved, failed = _solve_banded(band, right)  # LAPACK itself, as above
         if failed:
@@ -277,6 +291,16 @@ def _normal_equations(living, rows, values, count):
             for column in range(values.shape[1]):
                 right[k + i, column] += rows[sample, i] * values[sample, column]
     return band, right
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _along(first, rows, values, count):
+    """Products of values (N,) with every function (count,), of rows (N, 6), each of functions from its first one on."""
+    out = np.zeros(count)
+    for sample in range(len(first)):
+        for i in range(6):
+            out[first[sample] + i] += rows[sample, i] * values[sample]
+    return out
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -23,11 +23,9 @@ from bayesid.estimators.dispersion import PARTS
 from bayesid.recordings.table import usual_step
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import or_one
-from bayesid.regression.problem import Problem
-from bayesid.regression.row_cache import CACHE_BYTES, PILOT_ROWS, PILOT_SEGMENTS, few_of, row_count
-from bayesid.regression.row_model import RowModel
+from bayesid.regression.problem import Problem, pilot_pieces
+from bayesid.regression.row_cache import CACHE_BYTES, few_of, row_count
 from bayesid.regression.rows import make_blocks
-from bayesid.regression.segment import Segment
 from bayesid.signals.smoothing import smooth
 
 #: Band in which predictions are compared, the same whatever filter or method was used [Hz].
@@ -325,25 +323,11 @@ def _blocks(problem: Problem, motions: Sequence[str]) -> Iterable[Block]:
     row_model, segments = problem.row_model, [s for name in motions for s in problem.segments[name] if not s.poses]
     count, width = row_count(row_model, segments), len(row_model.channels) * row_model.width
     if row_model.filters is not None or 8 * count * width > CACHE_BYTES:
-        return make_blocks(replace(row_model, filters=None), list(_pieces(row_model, segments)))
+        pieces = [p for p in pilot_pieces(row_model, segments) if np.ptp(p.inner(row_model.margin)) > 1]
+        return make_blocks(replace(row_model, filters=None), pieces)
     fitted = tuple(motions) == problem.fitted
     moving = (b for b in (problem.regression.rows.pilot() if fitted else problem.rows.blocks(motions)) if b.group != "poses")
     return moving if fitted else few_of(moving, count)
-
-
-def _pieces(row_model: RowModel, segments: Sequence[Segment]) -> Iterator[Segment]:
-    """Evenly spread pieces of segments, that make about `PILOT_ROWS` rows together."""
-    whole = sum(float(np.ptp(s.times)) for s in segments)
-    for s in segments:
-        duration = float(np.ptp(s.times))
-        count = max(round(PILOT_SEGMENTS * duration / whole), 1)
-        ends = row_model.margin + max(row_model.margin, s.settling)
-        length = min(PILOT_ROWS / PILOT_SEGMENTS * row_model.step + ends, duration)
-        for start in s.times[0] + (duration - length) * np.linspace(0.0, 1.0, count):
-            a, b = np.searchsorted(s.times, [start, start + length + 1e-9])
-            piece = s.part(int(a), int(b))
-            if np.ptp(piece.inner(row_model.margin)) > 1:
-                yield piece
 
 
 def _gap(

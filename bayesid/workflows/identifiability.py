@@ -16,7 +16,7 @@ from bayesid.design.reading_noise import SENSOR_SETS, ReadingNoise, SensorSet, r
 from bayesid.design.separability import pair_of, separations
 from bayesid.errors import InputError
 from bayesid.estimators.weights import learn_weights
-from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment, load_setup
+from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment, load_setup, motions_named
 from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions, some_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel
@@ -147,13 +147,7 @@ def _motions(
     """The motions that are asked about."""
     there: list[Motion | Trajectory] = list(experiment.motions) if planned is None else planned
     if asked is not None:
-        known = {m.name: m for m in there}
-        if not asked:
-            raise InputError(f"{argument('motions')} names none; write one or more of {', '.join(known)}")
-        for name in asked:
-            if name not in known:
-                raise InputError(f"{argument('motions', name)}: no such motion; there are {', '.join(known)}")
-        there = [known[name] for name in dict.fromkeys(asked)]
+        there = motions_named(there, list(dict.fromkeys(asked)))
     elif planned is None:
         there = list(experiment.identification)
     if not there:
