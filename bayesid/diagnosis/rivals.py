@@ -5,11 +5,9 @@ Payload or inertia error? Both change one link; a payload's change is a body tha
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-import cvxpy as cp
 import numpy as np
 from scipy.stats import chi2
 
@@ -20,6 +18,8 @@ from bayesid.diagnosis.forward import State, exact_fits, in_family, is_surrogate
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.projector import orthonormal
 from bayesid.effects import Term
+from bayesid.errors import EstimationError
+from bayesid.estimators.conic.problem import nearest_body
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
 
@@ -165,10 +165,8 @@ def explained(base: Fit, best: Fit) -> float:
 
 
 _DRAWN = 5000
-#: A link's length, for the solver's units [m].
-_LENGTH = 0.1
-#: Weight of the size of what is not shown beside that of what is, squared standard deviations a squared SI unit.
-_LITTLE = 1e-6
+#: Standard deviation of what is not shown, in SI units: nothing is known of it.
+_HIDDEN = 1e2
 
 
 def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]:
@@ -184,31 +182,21 @@ def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]
     values, covariance = np.array(term.values), dispersion * fitted.covariance[np.ix_(at, at)]
     # What the data do not show, as all inertia of poses at rest, is whatever a possible body needs, and little.
     shown = np.diag(covariance) > 0.0
-    size = np.sqrt(np.where(shown, np.diag(covariance), 1.0))
+    size = np.sqrt(np.where(shown, np.diag(covariance), _HIDDEN**2))
     spread, axes = np.linalg.eigh((covariance / np.outer(size, size))[np.ix_(shown, shown)])
-    root = np.zeros((len(spread), 10))
-    root[:, shown] = (axes / np.sqrt(np.maximum(spread, max(1e-9 * spread[-1], 1e-300)))).T / size[shown]
-    # In units of the change's own size, so that masses and moments of inertia weigh alike in the solver.
-    body, pseudo = cp.Variable(10), cp.Variable((4, 4), PSD=True)
-    length = np.array([_LENGTH, _LENGTH, _LENGTH, 1.0])
-    basis = (inertia.BASIS / np.outer(length, length)).reshape(10, 16) * size[:, None]
-    same: list[cp.Constraint] = [cp.vec(pseudo, order="C") == basis.T @ body]
-    little = _LITTLE * cp.sum_squares(body[~shown]) if not shown.all() else 0.0
-    problem = cp.Problem(cp.Minimize(cp.sum_squares((root * size) @ body - root @ values) + little), same)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a distance of three digits is accurate enough
-        try:
-            problem.solve(solver=cp.CLARABEL)
-        except cp.SolverError:
-            return term, 0.0
-    if body.value is None:
+    spread = np.maximum(spread, max(1e-9 * spread[-1], 1e-300))
+    known = np.diag(size**2)
+    known[np.ix_(shown, shown)] = (axes * spread) @ axes.T * np.outer(size[shown], size[shown])
+    try:
+        body = nearest_body(np.where(shown, values, 0.0), known)
+    except EstimationError:
         return term, 0.0
-    distance = np.sum(((root * size) @ body.value - root @ values) ** 2)
-    if chi2.sf(distance, len(root)) < 1.0 - fitted.projector.data.settings.interval:
+    distance = np.sum((axes.T @ ((body - values) / size)[shown]) ** 2 / spread)
+    if chi2.sf(distance, len(spread)) < 1.0 - fitted.projector.data.settings.interval:
         return term, 0.0
     effect = next(e for e in fitted.projector.data.places(name) if e.where == term.effect.where)
     joint = effect.joint or 0
-    return Term(effect, tuple(size * body.value)), _rarity(fitted.projector.data.links[10 * joint : 10 * joint + 10])
+    return Term(effect, tuple(map(float, body))), _rarity(fitted.projector.data.links[10 * joint : 10 * joint + 10])
 
 
 def _rarity(link: np.ndarray) -> float:
