@@ -11,8 +11,8 @@ the same band,
 and the largest bandwidth is taken whose error is not larger than the smallest one by more than `WORTH` and by more than chance,
 twice the standard error of the differences part by part: where the model holds, lower ones predict no better, and a lower
 bandwidth leaves readings unused. Where the positions' own choice is the end of the range searched it is no choice: their noise
-is not what the search takes it for, and biases accelerations the more the higher the bandwidth. The lowest is taken then
-whose error is hardly larger than the smallest (`HARDLY`).
+is not what the search takes it for, and biases accelerations the more the higher the bandwidth. That of the smallest error is
+taken then.
 """
 
 from __future__ import annotations
@@ -31,8 +31,6 @@ from bayesid.regression.linalg import solve
 RATIO, LOWEST = 2.0**0.5, 5.0
 #: Relative difference of two errors (of power; half of it in amplitude) that is not worth a lower bandwidth.
 WORTH = 0.05
-#: The same where low bandwidths are preferred. Set by looking at real recordings.
-HARDLY = 0.02
 #: Band of the residuals that judge [Hz]; rows at every bandwidth hold it.
 BAND = 8.0
 _PARTS, _FOLDS = 8, 4
@@ -92,10 +90,8 @@ def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float, a
     mean = error.mean(axis=1)
     best = int(np.argmin(mean))
     doubt = np.std(error - error[best], axis=1, ddof=1) / np.sqrt(error.shape[1])
-    if at_end:
-        chosen = int(np.flatnonzero(mean <= (1.0 + HARDLY) * mean[best])[-1])
-    else:
-        chosen = int(np.flatnonzero(mean - mean[best] <= np.maximum(WORTH * mean[best], 2.0 * doubt))[0])
+    as_good = np.flatnonzero(mean - mean[best] <= np.maximum(WORTH * mean[best], 2.0 * doubt))
+    chosen = best if at_end else int(as_good[0])
     return BandwidthChoice(bandwidths[: len(tried)], mean / mean[0], np.array(estimates), chosen)
 
 
