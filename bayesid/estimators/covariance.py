@@ -168,7 +168,16 @@ def _estimated(group: str, parts: Sequence[np.ndarray], solution: np.ndarray, co
         for k, band in enumerate(_bands(_coefficients(group, part @ taken), edges)):
             power[k] += np.einsum("kcj,kdj->cd", band, band)
             rows[k] += len(band)
-    return InnovationSpectrum(edges, power / np.maximum(rows, 1.0)[:, None, None])
+    rows = np.maximum(rows, 1.0)
+    return InnovationSpectrum(edges, power * (_student(rows) / rows)[:, None, None])
+
+
+def _student(degrees: np.ndarray | float) -> np.ndarray:
+    """By what to multiply a variance that so many degrees of freedom tell, for Student's quantile in place of the normal one.
+
+    Intervals of 95 % are 1.96 standard deviations on either side everywhere: a deviation that is not sure is made larger.
+    """
+    return np.asarray((t.ppf(0.975, degrees) / norm.ppf(0.975)) ** 2)
 
 
 def _coefficients(group: str, rows: np.ndarray) -> np.ndarray:
@@ -222,13 +231,9 @@ class _Draws:
 
 
 def covariance_of_sums(sums: np.ndarray) -> np.ndarray:
-    """Covariance of simulated sums (draws, p), whose mean is known to be zero no better than their own mean says.
-
-    A variance from few draws is uncertain: Student's quantile stands for the normal one.
-    """
+    """Covariance of simulated sums (draws, p), whose mean is known to be zero no better than their own mean says."""
     count, p = sums.shape
-    wider = (t.ppf(0.975, count - 1) / norm.ppf(0.975)) ** 2 if count > 1 else 1.0
-    return wider * np.cov(sums.T, ddof=min(count - 1, 1)).reshape(p, p)
+    return (_student(count - 1) if count > 1 else 1.0) * np.cov(sums.T, ddof=min(count - 1, 1)).reshape(p, p)
 
 
 def may_matter(regression: Regression, weights: Weights) -> bool:
