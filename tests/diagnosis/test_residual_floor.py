@@ -11,6 +11,7 @@ from scipy.signal import butter, freqz, lfilter
 from bayesid import diagnose
 from bayesid.diagnosis import noise as noise_of_segments
 from bayesid.diagnosis import noise_spectrum
+from bayesid.diagnosis.encoders import with_noise
 from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.settings import DEFAULT
@@ -297,3 +298,21 @@ def test_pieces_of_white_noise_give_its_variance():
         assert found is not None
         values.append(np.average(found.std**2 * (1 - 2 / found.freedom)[:, None], axis=0, weights=found.freedom))
     np.testing.assert_allclose(values, [[1.0, 25.0]] * 2, rtol=0.05)
+
+
+def test_no_channel_is_known_better_than_to_four_digits(robot):
+    """Of what is predicted and of what is read: a joint of which the model predicts nothing is not weighted by rounding."""
+    segment = prepare_data(setting(robot, swept(robot, 3, 20.0), WHITE), "wrench", (), None, 0).segments[0]
+    none, read = np.zeros(robot.n), np.sum(segment.measured_readings**2, axis=0)
+
+    def least(predicted: np.ndarray) -> np.ndarray:
+        quiet = with_noise(
+            segment, lambda _: predicted, lambda s, _: s, np.full(6, 1e-12), none, none, np.random.default_rng(0)
+        )  # fmt: skip
+        return np.einsum("kcc->c", quiet.covariance)
+
+    moving = np.repeat(segment.trajectory.positions[:, :1], 6, axis=1)
+    # Neighbouring frequencies are pooled, those at the ends less: sums differ a little.
+    np.testing.assert_allclose(least(0.0 * moving), 1e-8 * read, rtol=0.3)
+    large = np.sum(segment.spectrum(1e6 * moving) ** 2, axis=0)
+    np.testing.assert_allclose(least(1e6 * moving), 1e-8 * large, rtol=0.3)

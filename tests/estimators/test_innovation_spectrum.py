@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesid.estimators import fit
-from bayesid.estimators.covariance import LEAST, innovation_spectra, whitened_middle
+from bayesid.estimators.covariance import LEAST, covariance_of_sums, innovation_spectra, whitened_middle
 from bayesid.estimators.factor import whitened
 from bayesid.estimators.weights import learn_weights
 from bayesid.regression.regression import Regression
@@ -70,3 +70,11 @@ def test_intervals_hold_what_repeats_scatter_by():
     ratio = np.sqrt(np.mean((scatter / np.mean(stated, axis=0)) ** 2))
     assert 0.85 < ratio < 1.15, ratio
     assert np.sqrt(np.mean((scatter / np.mean(plain, axis=0)) ** 2)) > 1.25
+
+
+@pytest.mark.parametrize("count", [5, 41])
+def test_a_variance_from_few_makes_intervals_that_hold(count):
+    """A value of unknown variance, which others of the same tell: 95 % of intervals 1.96 deviations wide hold zero."""
+    draws = np.random.default_rng(3).normal(size=(20000, count + 1))
+    std = np.sqrt([covariance_of_sums(own[1:, None])[0, 0] for own in draws])
+    assert np.mean(np.abs(draws[:, 0]) <= 1.96 * std) == pytest.approx(0.95, abs=0.005)

@@ -126,3 +126,20 @@ def test_rows_are_solved_in_least_squares(damping):
     normal = dense.T @ dense
     expected = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), dense.T @ values)
     np.testing.assert_allclose(splines.solved(rows, values, damping), expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_rows_are_solved_beside_rows_that_are_to_be_small():
+    rng = np.random.default_rng(2)
+    t = np.linspace(0.0, 4.12, 400)
+    splines, values = Splines.over(t, 3.0), rng.normal(size=(400, 2))
+    kinds = [rng.normal(size=(400, 1)) * splines.values[order] for order in (0, 2)]
+    dense = np.zeros((2, 400, splines.count))
+    for matrix, rows in zip(dense, kinds, strict=True):
+        for k in range(6):
+            matrix[np.arange(400), splines.first + k] = rows[:, k]
+    both = np.concatenate(dense)
+    solved = splines.factored(*kinds)
+    for column in values.T:
+        expected = np.linalg.lstsq(both, np.concatenate([column, 0.0 * column]), rcond=None)[0]
+        np.testing.assert_allclose(solved(column), expected, atol=1e-6 * np.abs(expected).max())
+    assert np.isnan(splines.factored(np.nan * kinds[0], kinds[1])(values[:, 0])).all()
