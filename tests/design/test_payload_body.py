@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bayesid.design.payload.body import BodyKnowledge, about_centre
+from bayesid.estimators.conic.problem import nearest_body
 from bayesid.robot import inertia
 
 BODY = inertia.from_mass_com_inertia(2.0, np.array([0.03, -0.05, 0.1]), np.diag([0.01, 0.012, 0.006]))
@@ -127,3 +128,13 @@ def test_a_mass_about_zero_has_a_nearest_body_that_can_exist():
         h = mean[1:4]
         point = np.array([mass, *h, *((h @ h) * np.eye(3) - np.outer(h, h))[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]] / mass])
         assert away <= np.sum(((point - mean) / std) ** 2) + 1e-6
+
+
+def test_the_nearest_body_of_a_covariance_that_is_almost_singular():
+    """A direction that is all but exact, as after a fit with a prior: the inverse is positive definite only but for rounding."""
+    rng, wrong = np.random.default_rng(5), BODY - 0.02 * np.eye(10)[9]
+    for _ in range(10):
+        axes = np.linalg.qr(rng.normal(size=(10, 10)))[0]
+        covariance = (axes * np.append(1e-17, np.ones(9))) @ axes.T
+        found = nearest_body(wrong + 0.1 * SIZES * rng.normal(size=10), covariance * np.outer(SIZES, SIZES))
+        assert np.linalg.eigvalsh(inertia.pseudo_inertia(found))[0] > -1e-6

@@ -474,6 +474,7 @@ def nearest_body(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     if inertia.is_physically_consistent(mean, 0.0):
         return mean
     size = np.sqrt(np.diag(covariance))
-    factor = np.linalg.cholesky(np.linalg.inv(covariance / np.outer(size, size))).T / size
+    spread, axes = np.linalg.eigh(covariance / np.outer(size, size))
+    factor = np.linalg.qr((axes / np.sqrt(np.maximum(spread, 1e-12 * spread[-1]))).T / size, mode="r")
     around = np.maximum(mean, [size[0], *(-np.inf,) * 9])  # constraints are scaled by a body that the data do not exclude
     return solve_conic(Conic(factor, mean, (tuple(range(10)),), inertia.solid(around)[None])).x
