@@ -475,6 +475,6 @@ def nearest_body(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         return mean
     size = np.sqrt(np.diag(covariance))
     spread, axes = np.linalg.eigh(covariance / np.outer(size, size))
-    factor = np.linalg.qr((axes / np.sqrt(np.maximum(spread, 1e-12 * spread[-1]))).T / size, mode="r")
+    factor = np.asarray(np.linalg.qr((axes / np.sqrt(np.maximum(spread, 1e-12 * spread[-1]))).T / size, mode="r"))
     around = np.maximum(mean, [size[0], *(-np.inf,) * 9])  # constraints are scaled by a body that the data do not exclude
     return solve_conic(Conic(factor, mean, (tuple(range(10)),), inertia.solid(around)[None])).x
