@@ -11,10 +11,10 @@ innovations are correlated at high frequencies and not at low ones. Intervals fr
 short, by up to two in the standard deviation. So the covariance S(f) of the whitened residuals u is taken octave by octave of
 the orthonormal cosine transform of each recording,
 
-    S_b = 1/n_b sum_{f in b} (u_f u_f' + X_f V X_f'),
+    S_b = s_b 1/n_b sum_{f in b} (u_f u_f' + X_f V X_f'),
 
-V the covariance of the fit, which gives back what it took from the residuals, and M is ``sum_b sum_{f in b} Z_f' S_b Z_f`` with
-Z the rows in units of these innovations: the estimator of [White1980]_ with the noise stationary within a band.
+V the covariance of the fit, which gives back what it took from the residuals, s_b that of `_student`, and M is
+``sum_b sum_{f in b} Z_f' S_b Z_f``, Z the rows in units of these innovations: that of [White1980]_, stationary within a band.
 
 **Encoder errors.** Errors u of the positions make rows ``y = X b + e - U b``: they enter through the dynamics, so they come and
 go with the motion. The noise that is learned from residuals knows their mean spectrum alone. And they are in the regressor
