@@ -102,6 +102,13 @@ class ReadingModel:
         moved, held = (self._with_drives(still, still, a, np.zeros((n, n, 0)))[1] for a in (unit, still))
         return np.swapaxes(moved - held, 0, 1)
 
+    def stated_inertia(self) -> np.ndarray:
+        """What is inside the joints with stated values, not estimated, adds to the mass matrix (n, n)."""
+        n = self.robot.n
+        still, unit = np.zeros((n, n)), np.eye(n)
+        moved, held = (self._with_drives(still, still, a, np.zeros((n, n, 0)))[0] for a in (unit, still))
+        return moved - held
+
 
 def torque_model(known: Known, seed: int = 0) -> ReadingModel:
     """Joint torques: rigid bodies, and what was identified inside the joints."""

@@ -87,6 +87,7 @@ class Terms:
     """Mass matrix, Coriolis and gravity, linear in the parameters, at some configurations."""
 
     mass: np.ndarray  # (m, n, n, k)
+    stated: np.ndarray  # what is beside that in the mass matrix, whatever the parameters (n, n)
     coriolis: np.ndarray  # (m, n, n (n + 1) / 2, k)
     gravity: np.ndarray  # (m, n, k)
 
@@ -118,7 +119,11 @@ class Terms:
                     parts.append((both - single[j] - single[k]) / np.sqrt(2.0))
         coriolis = np.zeros((len(positions), n, len(parts), size))
         coriolis[..., :rank] = np.stack(parts, axis=2)
-        return cls(mass, coriolis, gravity)
+        return cls(mass, model.stated_inertia(), coriolis, gravity)
+
+    def mass_matrices(self, parameters: np.ndarray) -> np.ndarray:
+        """Mass matrices (m, n, n) with parameters (k,)."""
+        return self.mass @ parameters + self.stated
 
 
 def workspace_bounds(
@@ -138,10 +143,10 @@ def workspace_bounds(
     positions, lower, upper = sobol_configurations(model.robot, configurations, seed)
     terms = Terms.of(model, positions)
     drawn, hat = model.draws[_evenly(model, draws)], model.region.values
-    nominal = float(np.linalg.eigvalsh(_symmetric(terms.mass @ hat)).min())
+    nominal = float(np.linalg.eigvalsh(_symmetric(terms.mass_matrices(hat))).min())
     of_urdf = nominal <= 0.0 and possible is not None
     hat = possible if of_urdf and possible is not None else hat
-    mass, coriolis, gravity = terms.mass @ hat, terms.coriolis @ hat, terms.gravity @ hat
+    mass, coriolis, gravity = terms.mass_matrices(hat), terms.coriolis @ hat, terms.gravity @ hat
     found: list[list[np.ndarray]] = []
     step = max(_TOGETHER // len(positions), 1)
     for first in range(0, len(drawn), step):
@@ -171,11 +176,11 @@ def workspace_bounds(
 
 def mass_eigenvalues(model: ReadingModel, scale: np.ndarray, draws: int, configurations: int, seed: int) -> tuple[float, float]:
     """Bounds of the eigenvalues of ``S^-1/2 M S^-1/2`` over the workspace, S diagonal; the rest as in `workspace_bounds`."""
-    mass = Terms.of(model, sobol_configurations(model.robot, configurations, seed)[0]).mass
+    terms = Terms.of(model, sobol_configurations(model.robot, configurations, seed)[0])
     root = np.sqrt(np.outer(scale, scale))
     low, high = [], []
     for drawn in model.draws[_evenly(model, draws)]:
-        values = np.linalg.eigvalsh((mass @ drawn) / root)
+        values = np.linalg.eigvalsh(terms.mass_matrices(drawn) / root)
         low.append(values[:, 0].min())
         high.append(values[:, -1].max())
     return -quantile(-np.array(low), 0.5 + LEVEL / 2), quantile(np.array(high), 0.5 + LEVEL / 2)
@@ -188,7 +193,7 @@ def _evenly(model: ReadingModel, draws: int) -> np.ndarray:
 
 def _of_draws(terms: Terms, drawn: np.ndarray, mass: np.ndarray, hat: np.ndarray) -> list[list[np.ndarray]]:
     """Extremes of each draw over all configurations."""
-    m = np.einsum("mijk,dk->dmij", terms.mass, drawn, optimize=True)
+    m = np.einsum("mijk,dk->dmij", terms.mass, drawn, optimize=True) + terms.stated
     m = _symmetric(m)
     values = np.linalg.eigvalsh(m)
     inverse = np.linalg.inv(np.linalg.cholesky(m))  # L^-1 with L L' = M

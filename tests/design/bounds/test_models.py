@@ -10,7 +10,7 @@ from bayesid.design.bounds.bands import band
 from bayesid.design.bounds.model import Drive, ReadingModel
 from bayesid.design.bounds.region import region_of_draws
 from bayesid.design.bounds.robust import ellipsoid_term, norm_term, tracking_bound
-from bayesid.design.bounds.workspace import Terms, sobol_configurations, workspace_bounds
+from bayesid.design.bounds.workspace import Terms, mass_eigenvalues, sobol_configurations, workspace_bounds
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.dynamics.channels import torque_channels
 from bayesid.effects.drives import RotorInertia
@@ -122,6 +122,18 @@ def test_what_was_identified_inside_joints_is_in_the_torques(robot):
     np.testing.assert_allclose(torque, expected, atol=1e-5)
     inertia = model.drive_inertia() @ model.region.values[model.base.rank :]
     np.testing.assert_allclose(inertia, np.diag([0, 0.3, 0, 0, 0, 0]), atol=1e-6)
+
+
+def test_what_is_stated_inside_joints_is_in_the_mass_matrix(robot):
+    """A rotor's inertia from a data sheet moves bounds as one that was identified for certain does."""
+    stated, _ = model_of(robot, 30, 0.03, (Drive(RotorInertia("joint2", 1), (0.3,), ()),))
+    estimated, _ = model_of(robot, 30, 0.03, (Drive(RotorInertia("joint2", 1), (0.3,), (0,)),), np.full((30, 1), 0.3))
+    one, other = (workspace_bounds(model, configurations=8).to_dict() for model in (stated, estimated))
+    for name, value in one.items():
+        np.testing.assert_allclose(value, other[name], rtol=1e-9, atol=1e-12, err_msg=name)
+    gains = np.full(robot.n, 5.0)
+    one, other = (mass_eigenvalues(model, gains, 30, 8, 0) for model in (stated, estimated))
+    assert one == pytest.approx(other, rel=1e-9)
 
 
 def test_a_whole_trajectory_is_within_the_band_as_often_as_it_says(robot):
