@@ -390,7 +390,7 @@ class _InstrumentSums:
             values, vectors = np.linalg.eigh(gram)
             roots.append(vectors / np.sqrt(np.where(values > 1e-10 * values[-1], values, np.inf)) @ vectors.T)
         _, correlations, directions = np.linalg.svd(roots[0] @ self.z_x @ roots[1])
-        p = int(np.count_nonzero(~start.factor.undetermined))
+        p = max(int(np.count_nonzero(values > 1e-10 * values[-1])), 1)  # directions that the regressor shows
         smallest = float(min(correlations[p - 1], 1.0))
         statistic = (self.rows - p) / p * smallest**2 / max(1.0 - smallest**2, 1e-12)
         return statistic, start.root @ roots[1] @ directions[p - 1]

@@ -76,7 +76,10 @@ def smooth(
     highest frequency kept [Hz]; an `InputError` where there are too few samples for it.
     """
     coefficients, first = _fitted(times, positions, bandwidth)
-    return _evaluate(kernel_input(times if at is None else at), coefficients, first, 0.5 / bandwidth, POLYNOMIALS)
+    q, v, a = _evaluate(kernel_input(times if at is None else at), coefficients, first, 0.5 / bandwidth, POLYNOMIALS)
+    still = np.ptp(positions, axis=0) == 0.0  # what rounding makes of a joint at rest would pass for motion
+    q[:, still], v[:, still], a[:, still] = positions[0, still], 0.0, 0.0
+    return q, v, a
 
 
 def _fitted(times: np.ndarray, positions: np.ndarray, bandwidth: float) -> tuple[np.ndarray, float]:

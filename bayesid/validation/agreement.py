@@ -253,13 +253,15 @@ def wrench_against_torque(problem: Problem, method: str | Estimator) -> Agreemen
         )[1]
         for channel in ("wrench", "torque")
     )
-    if wrench.covariance is None or torque.covariance is None:
+    if wrench.full_covariance is None or wrench.covariance is None or torque.covariance is None:
         return None
     at_rest = all(r.poses for n in names for r in problem.segments[n])
     full = structural_base(experiment.robot, make_channels(experiment, "torque"), at_rest=at_rest)
     # Rows of K_torque as combinations of K_wrench.
     relation = np.linalg.lstsq(wrench.base.matrix.T, full.matrix.T, rcond=None)[0].T
     inside = np.linalg.norm(relation @ wrench.base.matrix - full.matrix, axis=1) < 1e-4 * np.linalg.norm(full.matrix, axis=1)
+    hidden = linalg.unshown(wrench.full_covariance, wrench.undetermined)[: wrench.base.rank]
+    inside &= ~(linalg.takes(relation, hidden) | torque.undetermined[: torque.base.rank])
     implied = (relation @ wrench.values)[inside]
     covariance = (relation @ wrench.covariance @ relation.T + torque.covariance)[np.ix_(inside, inside)]
     labels = [label for label, ok in zip(torque.base.labels, inside, strict=True) if ok]

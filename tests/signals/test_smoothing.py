@@ -94,6 +94,15 @@ def test_chosen_bandwidth_is_near_the_best_for_accelerations():
     assert np.std((smooth(times, noisy, chosen)[2] - a)[25:-25]) < 2.0 * min(errors.values())
 
 
+def test_a_joint_at_rest_stands_still():
+    """Rounding of a spline through one number again and again is no motion."""
+    times = np.arange(0, 10, 0.008)
+    positions = np.column_stack([np.sin(times), np.full(len(times), 0.4)])
+    q, v, a = smooth(times, positions, 8.0)
+    assert (q[:, 1] == 0.4).all() and not v[:, 1].any() and not a[:, 1].any()
+    np.testing.assert_array_equal(q[:, 0], smooth(times, positions[:, :1], 8.0)[0][:, 0])
+
+
 def test_too_few_samples_are_refused():
     times = np.array([0.0, 5.0, 5.01, 9.0])
     with pytest.raises(InputError, match="too few or too uneven"):

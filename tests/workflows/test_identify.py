@@ -171,6 +171,28 @@ def test_both_channels_together_agree_unless_one_is_wrong(tmp_path):
     assert last.agreements[-1].contradiction and any("Wrench and torque contradict" in w for w in last.warnings)
 
 
+def test_a_joint_that_never_moves_stays_nominal_and_contradicts_nothing(tmp_path):
+    """Its encoder reads one number, whose spline is no motion; what nothing shows is not compared."""
+    robot, motions = puma2(tmp_path), []
+    links = 1.3 * robot.nominal.ravel()
+    for k in range(2):
+        t, q, v, a = fourier(robot, k)
+        for rows, still in ((q, 0.4), (v, 0.0), (a, 0.0)):
+            rows[:, 1] = still
+        table = recording(robot, Sensor(), (t, q, v, a), phi=links, seed=k, **NOISE)
+        motions.append(Motion(f"m{k}", "validation" if k else "identification", table))
+    arm = experiment(robot, motions, Sensor())
+    found = bayesid.identify(arm, "both")
+    nominal = found.base.matrix @ robot.nominal.ravel()
+    assert found.estimate.undetermined[found.base.rank - 1] and found.values[-1] == pytest.approx(nominal[-1])
+    assert np.abs(found.values - nominal).max() < np.abs(nominal).max()
+    assert not any(a.contradiction for a in found.agreements)
+    moved = found.predict(*np.random.default_rng(3).normal(size=(3, 5, 2)))
+    assert np.abs(moved.values).max() < 1e4 and np.isnan(moved.std).any()
+    for method in ("iv", "sdp"):
+        assert np.abs(bayesid.identify(arm, "torque", method).values).max() < 2.0 * np.abs(nominal).max()
+
+
 def test_static_run_is_reported_both_ways(tmp_path):
     robot = puma2(tmp_path)
     sensor, motion = Sensor(), fourier(robot, 1)
