@@ -46,7 +46,7 @@ def ends(low: float, high: float) -> str:
 
 
 def with_interval(value: float, std: float | None, low: float, high: float) -> tuple[str, str]:
-    """As `with_half`; both ends in place of half the width where they are not as far from the value as a normal law's."""
+    """The same as `with_half`; both ends in place of half the width where they are not where a normal law has them."""
     if std is None or not np.isfinite([std, low, high]).all() or std <= 0:
         return number(value), DASH
     if np.allclose([value - low, high - value], HALF * std, rtol=1e-6, atol=0.0):

@@ -21,7 +21,7 @@ Cell: TypeAlias = str | tuple[str, str]
 
 @dataclass(frozen=True)
 class ShownTable:
-    """A table."""
+    """A table of a report."""
 
     head: Sequence[str]  # titles of the columns
     rows: Sequence[Sequence[Cell]]  # cells, as many a row as there are titles

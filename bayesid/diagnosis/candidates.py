@@ -54,7 +54,7 @@ class RippleScan:
         return tuple(cls(data, [e for e in effects if type(e) is kind]) for kind in kinds)
 
     def best(self, left: np.ndarray) -> Iterator[tuple[Effect, float]]:
-        """For every effect the number of periods whose sine and cosine explain most of a residual (rows,)."""
+        """Every effect with the number of periods whose sine and cosine explain most of a residual (rows,)."""
         score, gram = np.zeros(1), np.zeros(1)
         at = 0
         for s, spectrum in zip(self.data.segments, self.spectra, strict=True):
@@ -151,7 +151,7 @@ class Library:
 
     @cached_property
     def _before(self) -> dict[Effect, list[int]]:
-        """By effects, the blocks whose effects leave them what they are counted for."""
+        """Blocks, by effect, whose effects leave it what it is counted for."""
         return {e: [k for k, b in enumerate(self.blocks) if e.comes_after(b.effect)] for e in {b.effect for b in self.blocks}}
 
     def with_last_resorts(self, proposals: Sequence[Proposal], fit: Fit) -> list[Proposal]:
@@ -238,7 +238,7 @@ class Library:
         return self._changes_by([e for e in self.effects if e.last_resort])
 
     def _changes_by(self, effects: Sequence[Effect]) -> _Trials:
-        """By effects, the values that are tried exactly and what these change of the rows beside the user's model."""
+        """Values, by effect, that are tried exactly, and what these change of the rows beside the user's model."""
         data, projector, base, out = self.projector.data, self.projector, self.base, {}
         nothing = np.zeros(projector.size)
         for effect in effects:

@@ -41,7 +41,7 @@ class Choice:
         """Share of the gap between user's model and noise by which one prediction is better than another, and its lower end."""
 
         def closed(sums: np.ndarray) -> np.ndarray:
-            """From sums of rows, of what is closed and of the gap (draws, 3)."""
+            """Share that is closed, from sums of rows, of what is closed and of the gap (draws, 3)."""
             rows, closed, gap = sums.T
             return share_of_gap(closed, gap, self.floor * rows)
 

@@ -43,7 +43,7 @@ class State:
 
     @property
     def settings(self) -> Settings:
-        """The thresholds."""
+        """The thresholds of the diagnosis."""
         return self.best.projector.data.settings
 
 

@@ -92,7 +92,7 @@ class Grams:
         return np.einsum("...i,...ij,...j->...", left[..., at], self._part(gram, at, at), left[..., at])
 
     def variances(self, gram: np.ndarray) -> np.ndarray:
-        """Of all effects' parameters (k,), in units of the noise; of several sums of blocks at once (g, k)."""
+        """Variances of all effects' parameters (k,), in units of the noise; of several sums of blocks at once (g, k)."""
         count = self.always + len(self.owners)
         square = self._part(gram, np.arange(count), np.arange(count))
         scale = np.sqrt(np.maximum(np.diag(self._complete)[:count], 1e-300))

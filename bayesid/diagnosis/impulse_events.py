@@ -56,7 +56,7 @@ def short_events(segments: Sequence[SpectralSegment], level: float) -> tuple[tup
 
 
 def _band(segment: SpectralSegment) -> tuple[float, float] | None:
-    """From the compared band to half the sampling rate [Hz], if that is as wide again."""
+    """The band between the compared one and half the sampling rate [Hz], if that is as wide again."""
     low, high = float(segment.frequencies[-1] + segment.frequencies[min(1, len(segment.frequencies) - 1)]), 0.5 / segment.step
     return (low, high) if high > 2.0 * low else None
 

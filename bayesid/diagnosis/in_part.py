@@ -182,7 +182,7 @@ def _beyond_offset(part: InPart, seed: int) -> InPart:
 
 
 def _where_they_act(part: InPart, seed: int) -> InPart:
-    """Of effects that close too little of the whole gap those that close most of it in the channels that they act in, if any."""
+    """Effects that close most of the gap in the channels that they act in, if any do, where all close too little of the whole."""
     mostly = part.search.projector.data.settings.most
     groups = channel_groups(part.search)
     kept = frozenset(spec for g in groups if g.closed >= mostly for spec in g.effects)

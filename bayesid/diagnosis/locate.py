@@ -101,7 +101,7 @@ def locate(
 
 
 def _strength(d: Disagreement) -> float:
-    """For sorting, strongest first."""
+    """Key that sorts the strongest first."""
     return -d.ratio * float(np.sqrt(d.end - d.start))
 
 

@@ -45,7 +45,7 @@ class Piece:
 
     @property
     def frequencies(self) -> np.ndarray:
-        """Of the coefficients in the band (K,) [Hz]."""
+        """Frequencies of the coefficients in the band (K,) [Hz]."""
         length = len(self.times) * (self.times[-1] - self.times[0]) / (len(self.times) - 1)
         return 0.5 / length * np.arange(int(2.0 * length * self.settings.band))
 

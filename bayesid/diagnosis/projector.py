@@ -130,7 +130,7 @@ class Span:
 
     @classmethod
     def of(cls, columns: np.ndarray, least: float = _LEAST, rounding: float = 0.0) -> Span:
-        """Of columns (rows, k), each in its own unit, but for singular values below a share ``least`` of the largest.
+        """The span of columns (rows, k), each in its own unit, but for singular values below a share ``least`` of the largest.
 
         Directions no longer than ``rounding``, the absolute error of every column in its unit, are left out.
         """

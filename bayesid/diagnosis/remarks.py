@@ -127,7 +127,7 @@ def _in_part(search: Search, reason: Reason) -> list[str]:
 
 
 def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> list[str]:
-    """On the effects in and beside the model, and how the readings are taken."""
+    """Remarks on the effects in and beside the model, and how the readings are taken."""
     data, out = search.projector.data, []
     tried = ", ".join(by_kind(f.term for f in found))
     if found and search.dropped:
@@ -208,7 +208,7 @@ def _of_the_links(search: Search) -> list[str]:
 
 
 def _of_the_validation(search: Search, found: Sequence[Found], gap: Gap | None, part: InPart | None) -> list[str]:
-    """On the held-out motions."""
+    """Remarks on the held-out motions."""
     data, out = search.projector.data, []
     if gap is not None and gap.floor**2 > 2.0:
         out.append(

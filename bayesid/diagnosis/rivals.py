@@ -74,7 +74,7 @@ def _without(models: NoiseModels, best: Fit, index: int) -> tuple[NoiseModels, F
 
 
 def essential(pruned: Pruned) -> tuple[Pruned, tuple[Term, ...]]:
-    """Of a combination of surrogates the few effects that explain nearly everything, and the others; or all of it where none do.
+    """The few of a combination of surrogates that explain nearly everything, and the others; or all of it where none do.
 
     What a joint's or a mount's real springs do beyond the model of one would otherwise count as one effect more.
     """
@@ -143,7 +143,7 @@ def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...],
 
 
 def canonical(term: Term) -> Term:
-    """Of values that mean the same, those that a reader expects."""
+    """The values that a reader expects, among those that mean the same."""
     return replace(term, values=term.effect.canonical(term.values))
 
 

@@ -140,7 +140,7 @@ class SpectralSegment:
 
     @cached_property
     def _averages(self) -> dict[tuple[int, ...], _Averaged]:
-        """By channels what `_averaged` has found: the same are asked for again and again."""
+        """What `_averaged` has found, by channels: the same are asked for again and again."""
         return {}
 
     @cached_property

@@ -133,7 +133,7 @@ def _advance_back(up, here_bar, up_bar, q, v, a, turn, translation, axis, slides
 
 @jit
 def _block(state, block):
-    """As `bayesid.dynamics.newton_euler.body_columns`, for one sample: (10, 6)."""
+    """The same as `bayesid.dynamics.newton_euler.body_columns`, for one sample: (10, 6)."""
     r, c, p, acc = _rows(state), _columns(state), get_one(state, P), get_one(state, A)
     w, dw = get_one(state, W), get_one(state, DW)
     put_one(block[0], 0, acc)

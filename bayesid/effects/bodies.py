@@ -109,5 +109,5 @@ def rotor_couple(robot: Robot, states: np.ndarray, joint: int, velocity: np.ndar
 
 
 def split_matrix(robot: Robot, body: int) -> np.ndarray:
-    """From a split body's parameters to those in its joint's frame (10, 10)."""
+    """Map from a split body's parameters to those in its joint's frame (10, 10)."""
     return transform_matrix(robot.body_rotation[body], robot.body_translation[body])

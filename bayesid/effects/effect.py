@@ -210,7 +210,7 @@ class Effect(ABC):
         return 0.0
 
     def canonical(self, values: tuple[float, ...]) -> tuple[float, ...]:
-        """Of values (k,) that mean the same, those that a reader expects."""
+        """The values (k,) that a reader expects, among those that mean the same."""
         return values
 
     # -- columns that the joint motion alone gives

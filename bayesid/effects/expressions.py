@@ -43,7 +43,7 @@ class ExpressionEffect(ReadingEffect):
         return out
 
     def tangent(self, readout: Readout, values: Sequence[float], change: np.ndarray) -> np.ndarray | None:
-        """By central differences of the formulas that have true readings in them (N, c, k)."""
+        """Derivatives by central differences of the formulas that have true readings in them (N, c, k)."""
         out = np.zeros_like(change)
         for channel, formula in self._read(readout):
             given = self._variables(formula, readout, values)

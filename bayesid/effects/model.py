@@ -143,7 +143,7 @@ class Model:
 
     @cached_property
     def transmission(self) -> np.ndarray | None:
-        """From the motors' positions to the joints', (1 + C)^-1 (n, n); None where no transmissions are coupled."""
+        """Map from the motors' positions to the joints', (1 + C)^-1 (n, n); None where no transmissions are coupled."""
         coupled = self.of_family(families.TransmissionEffect)
         return np.linalg.inv(coupling_matrix(self.robot, coupled)) if coupled else None
 

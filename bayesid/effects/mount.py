@@ -48,7 +48,7 @@ class RigidMountLoad:
         cls, robot: Robot, segment: MotionSegment, motion: Motion, row_of: np.ndarray, links: np.ndarray, gravity: np.ndarray,
         moment: Callable[[np.ndarray], np.ndarray],
     ) -> RigidMountLoad:  # fmt: skip
-        """Of links that move so: bodies (b, 10), the root among them, in the frames of their rows of the state (b,)."""
+        """The mount of links that move so: bodies (b, 10), root included, in the frames of their rows of the state (b,)."""
         still = np.zeros((1, robot.n))
         middle, _ = _tilting(link_states(robot, segment.middle_positions[None], still, still), row_of, links)
         states = link_states(robot, *motion)

@@ -65,7 +65,7 @@ def crossed_anew(
     step: float,
     intervals: list[tuple[int, int]],
 ) -> np.ndarray:
-    """On which side the link is in each interval (M,), -1 elsewhere, with the crossings that leave least of the readings.
+    """Side of the link in each interval (M,), -1 elsewhere, with the crossings that leave least of the readings.
 
     ``encoders`` are readings (M,) [rad or m], ``behind`` how far the link is behind by the fit (M,), ``sides`` how far it may
     be (k,), ``splines`` what it moves by, at the samples; ``still`` says where it is known, as nothing moves (M,), ``step`` is
@@ -161,7 +161,7 @@ class Fitting:
 
     @classmethod
     def of(cls, times: np.ndarray, encoders: np.ndarray, bandwidth: float, wanted: np.ndarray) -> Fitting:
-        """For readings (M, n) at times (M,) [s] that are smoothed to a bandwidth [Hz], and times (N,) within them."""
+        """Splines for readings (M, n) at times (M,) [s] that are smoothed to a bandwidth [Hz], and times (N,) within them."""
         top = min(FASTEST, bandwidth)
         splines = [Splines.over(times, cutoff) for cutoff in top * np.geomspace(_SLOWEST, 1.0, _LEVELS)]
         whole, there = Splines.over(times, bandwidth), Splines.over(times, bandwidth, wanted)

@@ -44,7 +44,7 @@ class SensorChain:
 
     @cached_property
     def pose(self) -> np.ndarray:
-        """Of shifted origin and turned axes (6, 6)."""
+        """Map of a shifted origin and turned axes (6, 6)."""
         pose = np.eye(6)
         d = self.shift_axes @ self.shift
         pose[3:, :3] = -np.array([[0.0, -d[2], d[1]], [d[2], 0.0, -d[0]], [-d[1], d[0], 0.0]])

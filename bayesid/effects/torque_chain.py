@@ -21,7 +21,7 @@ from bayesid.robot.robot import Robot
 
 
 def coupling_matrix(robot: Robot, coupled: Sequence[tuple[TransmissionEffect, Sequence[float]]]) -> np.ndarray:
-    """From joint positions to the motors', 1 + C (n, n)."""
+    """Map from joint positions to the motors', 1 + C (n, n)."""
     out = np.eye(robot.n)
     for effect, values in coupled:
         out[effect.joint, effect.driver] += effect.coupling(values)

@@ -88,7 +88,7 @@ def covariance_middle(regression: Regression, weights: Weights, scale: dict[str,
 
 
 def _scattered(factor: Factor, middle: np.ndarray, efficient: Dispersion) -> float:
-    """By what an efficient fit scatters between parts more than the spectrum of its whitened rows says; one at least.
+    """Factor by which an efficient fit scatters more between parts than the spectrum of its whitened rows says; one at least.
 
     The dispersion is relative to rows R that are white, ``trace(R^-T R'R R^-1)``, the spectrum's M likewise: what both see
     counts once.
@@ -173,7 +173,7 @@ def _estimated(group: str, parts: Sequence[np.ndarray], solution: np.ndarray, co
 
 
 def _student(degrees: np.ndarray | float) -> np.ndarray:
-    """By what to multiply a variance that so many degrees of freedom tell, for Student's quantile in place of the normal one.
+    """Factor of a variance that so many degrees of freedom tell, for Student's quantile in place of the normal one.
 
     Intervals of 95 % are 1.96 standard deviations on either side everywhere: a deviation that is not sure is made larger.
     """
@@ -279,7 +279,7 @@ def with_encoder_errors(
 
 
 def encoder_growth(regression: Regression, weights: Weights, scale: dict[str, np.ndarray], inverse: np.ndarray) -> np.ndarray:
-    """By what encoder errors multiply the variances of a fit weighted by channel (p,), for fits with other weights still.
+    """Factors of the variances of a fit weighted by channel (p,) by encoder errors, for fits with other weights still.
 
     Arguments are those of `with_encoder_errors`.
     """

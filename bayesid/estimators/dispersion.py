@@ -52,7 +52,7 @@ class Dispersion:
 
     @property
     def factor(self) -> float:
-        """By which a variance is multiplied: the dispersion, nowhere below one.
+        """Factor of a variance: the dispersion, nowhere below one.
 
         It is not asked whether chance alone explains it: intervals that are widened only where that is improbable are too short
         wherever a moderate scatter is real, and what this costs where it is chance is a few per cent of their width.
@@ -99,7 +99,7 @@ def dispersions(whole: Rows, solution: np.ndarray, channels: Sequence[Rows] = ()
 
 
 def widening(whole: Dispersion, channels: Sequence[Dispersion]) -> np.ndarray:
-    """By what to multiply the noise variance of each channel (c,).
+    """Factor of the noise variance of each channel (c,).
 
     Where channels pull together, by the links that they share, the whole scatters by more than its parts: then all are
     multiplied by what is missing. Without channels, the factor of the whole (1,); ones where there are too few rows to tell.

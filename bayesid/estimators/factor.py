@@ -283,7 +283,7 @@ class _Gram:
 
 
 def _channels(inverse: np.ndarray, rows: RowCache) -> dict[str, _Gram]:
-    """Of each channel's rows (c, p + 1, p + 1), by group: rows that are not kept are read once for all that needs these.
+    """Gram matrices of each channel's rows (c, p + 1, p + 1), by group: rows that are not kept are read once for all of them.
 
     ``inverse`` brings rows to a pilot's coordinates (p + 1, p + 1).
     """

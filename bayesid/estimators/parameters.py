@@ -39,7 +39,7 @@ def central_interval(
 
 
 def with_ends(value: float, std: float, unit: str) -> dict[str, Any]:
-    """For JSON: a value with its standard deviation, the ends of its 95 % interval, None where there is none, and its unit."""
+    """A value for JSON with its standard deviation, the ends of its 95 % interval, None where there is none, and its unit."""
     known = float(std) if np.isfinite(std) and std > 0 else np.nan
     low, high = central_interval(np.array(float(value)), np.array(known))
     return {"value": float(value), "std": _known(known), "low": _known(float(low)), "high": _known(float(high)), "unit": unit}
@@ -108,7 +108,7 @@ class Parameters:
         )  # fmt: skip
 
     def to_list(self) -> list[dict[str, Any]]:
-        """For JSON: name, unit, value, ``std``, ``low``, ``high``, class and label of each; None where there is no number."""
+        """The parameters for JSON: name, unit, value, ``std``, ``low``, ``high``, class, label; None where there is no number."""
         numbers = zip(*([_known(x) for x in v] for v in (self.values, self.std, self.low, self.high)), strict=True)
         return [
             {"name": name, "unit": unit, "value": value, "std": std, "low": low, "high": high, "class": kind, "label": label}

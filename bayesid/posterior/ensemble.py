@@ -90,7 +90,7 @@ class Ensemble:
         return 2 * self.dimensions + 2
 
     def log_density(self, points: np.ndarray) -> np.ndarray:
-        """Of walkers (w, z and log scales), minus infinity outside the bounds (w,)."""
+        """Log density of walkers (w, z and log scales), minus infinity outside the bounds (w,)."""
         model, d = self.model, len(self.model.linear_names)
         z, logs = points[:, :d], points[:, d:]
         squares = model.quadratic.squares(z)

@@ -57,7 +57,7 @@ class ScalePrior:
     known: bool = False  # whether scales are held at one instead
 
     def log_density(self, log_scales: np.ndarray) -> np.ndarray:
-        """Of the logarithms of the scales (..., k), up to a constant (...,)."""
+        """Log density of the logarithms of the scales (..., k), up to a constant (...,)."""
         return np.sum(-2.0 * self.shape * log_scales - self.rate * np.exp(-2.0 * log_scales), axis=-1)
 
     def slope(self, log_scales: np.ndarray) -> np.ndarray:

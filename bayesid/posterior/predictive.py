@@ -87,7 +87,7 @@ def _by_channel(posterior: Posterior, group: str, rows: np.ndarray, at: np.ndarr
 
 
 def _together(posterior: Posterior, rows: np.ndarray, at: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Of an estimate (p,) and its covariance, but for the logarithm of its scale (draws,)."""
+    """Log density of an estimate (p,) with its covariance, but for the logarithm of its scale (draws,)."""
     flat = rows.reshape(-1, rows.shape[-1])
     best = float(np.sum((flat @ np.append(-centre, 1.0)) ** 2))
     scale = posterior.scales.reshape(-1)

@@ -168,7 +168,7 @@ def check_trajectory(table: Table, robot: Robot, resolution: float | None, held:
 
 
 def _clock(table: Table) -> str:
-    """In which unit times are of which the steps are too long for seconds: that of a date, else of the likeliest rate."""
+    """Unit of times whose steps are too long for seconds: that of a date, else of the likeliest rate."""
     if (np.diff(table.times) == 1.0).all():
         return "t seems to count the rows"
     date = {unit: factor for unit, factor in _CLOCKS.items() if _EPOCH[0] < table.times[0] / factor < _EPOCH[1]}

@@ -1,1 +1,1 @@
-"""From recordings to the linear model: rows, their noise, and the problem that estimators take."""
+"""How recordings become the linear model: rows, their noise, and the problem that estimators take."""

@@ -80,7 +80,7 @@ def fit_options(
 
 
 def some_options(verb: str, options: FitOptions | None, **given: object) -> FitOptions:
-    """As `fit_options` for a verb that has only those that are named here; an `InputError` where another one is set."""
+    """The same as `fit_options` for a verb that has only those named here; an `InputError` where another one is set."""
     others = [name for name in (options or FitOptions()).given() if name not in given]
     if others:
         raise InputError(f"{verb} takes no {' and no '.join(others)}; of FitOptions it has {', '.join(given)}")

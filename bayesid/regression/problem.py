@@ -1,4 +1,4 @@
-"""From an experiment and a few choices to the regression that estimators take."""
+"""How an experiment and a few choices become the regression that estimators take."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ class RowModel:
         return self.base.rank + self.extra_columns + 1
 
     def of_free(self, values: Iterable[_A]) -> tuple[_A, ...]:
-        """Of values with one entry a parameter of the effects, those of the parameters that are estimated."""
+        """Values of the parameters that are estimated, among those with one entry for each parameter of the effects."""
         return tuple(compress(values, self.free))
 
     @property

@@ -1,4 +1,4 @@
-"""From samples to rows: recordings + robot + effects + filters -> blocks of rows in the motion's band.
+"""How samples become rows: recordings + robot + effects + filters -> blocks of rows in the motion's band.
 
 Samples are handled in chunks that fit the processor's cache and on all cores; what comes out is a thin stream of
 rows. Two ways lead there: with the accelerations of the smoothed trajectory, or without any through the
@@ -273,7 +273,7 @@ def _from_grid(row_model: RowModel, segment: Segment, first: int, last: int, sta
 
 
 def _cells_to_check(positions: np.ndarray) -> np.ndarray:
-    """Of the cells between joint positions (k + 1, n), some that are evenly spread and those in which the joints move most."""
+    """Some evenly spread cells between joint positions (k + 1, n), and those in which the joints move most."""
     cells, half = len(positions) - 1, _CHECKED // 2
     fastest = np.argsort(np.abs(np.diff(positions, axis=0)).sum(axis=1))[-half:]
     return np.unique(np.append(np.linspace(0, cells - 1, half).astype(int), fastest))

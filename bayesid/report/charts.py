@@ -150,7 +150,7 @@ def key_width(text: str) -> float:
 
 
 def ticks(low: float, high: float, most: int, whole: bool = False) -> np.ndarray:
-    """At most about ``most`` intervals between round numbers within limits: multiples of 1, 2, 2.5 or 5 times a power of ten."""
+    """Round numbers within limits, about ``most`` intervals at most: multiples of 1, 2, 2.5 or 5 times a power of ten."""
     rough = (high - low) / most
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(power * m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if power * m >= rough * (1 - 1e-9))

@@ -274,7 +274,7 @@ def _row(m: MotionSummary) -> list[str]:
 
 
 def _fixed(value: float) -> str:
-    """To a thousandth: positions and speeds of joints side by side."""
+    """A number to a thousandth: positions and speeds of joints side by side."""
     return f"{round(value, 3) + 0.0:.3f}".replace("-", "−") if np.isfinite(value) else DASH
 
 

@@ -252,7 +252,7 @@ def effects_table(found: Sequence[Susceptibility], labels: tuple[str, ...]) -> S
 
 
 def worst_places(found: Sequence[Susceptibility], each: int) -> list[Susceptibility]:
-    """Of every kind of effect the places where it biases most, largest bias first."""
+    """Places where every kind of effect biases most, largest bias first."""
     counts: dict[str, int] = {}
     out = []
     for s in found:

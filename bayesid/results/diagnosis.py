@@ -385,7 +385,7 @@ def without_validation(diagnosis: Diagnosis) -> str:
 
 
 def which_motions(diagnosis: Diagnosis) -> str:
-    """Of which motions the numbers are where the search was validated on none."""
+    """The motions that the numbers are of, where the search was validated on none."""
     if diagnosis.gap is not None:
         return ""
     others = [f"‘{e.motion}’" for e in diagnosis.errors if not e.fitted]
@@ -400,7 +400,7 @@ def which_motions(diagnosis: Diagnosis) -> str:
 
 
 def shown_errors(diagnosis: Diagnosis) -> tuple[MotionErrors, ...]:
-    """Of the motions that were not fitted, or of all where there are none."""
+    """Errors of the motions that were not fitted, or of all where there are none."""
     return tuple(e for e in diagnosis.errors if not e.fitted) or diagnosis.errors
 
 

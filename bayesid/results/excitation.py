@@ -313,7 +313,7 @@ def pair_table(telling: Telling) -> ShownTable:
 
 
 def telling_dict(telling: Telling, file: str) -> dict[str, Any]:
-    """For the JSON file: the motion's file, the probabilities, and every pair."""
+    """The motion's file, the probabilities, and every pair, for the JSON file."""
     t = telling
     return {
         "file": file, "motion": t.label, "duration": float(t.trajectory.times[-1] - t.trajectory.times[0]),

@@ -41,7 +41,7 @@ def quiet_noise(readings: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def steady_noise(readings: Sequence[np.ndarray]) -> np.ndarray:
-    """As `quiet_noise` (c,), but from all windows where the noise is as strong in all of them."""
+    """The same as `quiet_noise` (c,), but from all windows where the noise is as strong in all of them."""
     (powers,), freedom = _powers(readings, [_ABOVE])
     quiet, mean = _quiet(powers, freedom), np.sqrt(powers.mean(axis=0))
     return np.where(mean < _STEADY * quiet, mean, quiet)

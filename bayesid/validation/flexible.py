@@ -68,7 +68,7 @@ class Functions:
 
     @classmethod
     def of(cls, state: State) -> Functions:
-        """Of the range of these states."""
+        """Functions of the range of these states."""
         positions, speeds, accelerations = state
         low, high = positions.min(axis=0), positions.max(axis=0)
         speed, acceleration = np.abs(speeds).max(axis=0), np.abs(accelerations).max(axis=0)
@@ -140,7 +140,7 @@ def sums(
 
 
 def _ways(sums: Sequence[Sums], functions: Sequence[np.ndarray], count: int) -> Iterator[list[Correction]]:
-    """By functions alone, or with one set of rigid parameters for all channels fitted again beside them, freely or penalised.
+    """Corrections by functions alone, or with one set of rigid parameters for all channels fitted beside them, free or penalised.
 
     What the estimate made of an effect that it does not know is in its rigid parameters, too.
     """
@@ -249,7 +249,7 @@ class FlexibleModel:
 
     @classmethod
     def of(cls, problem: Problem, motions: Sequence[str]) -> FlexibleModel | None:
-        """For motions that were not fitted; None where none of these moves, or too few rows were fitted."""
+        """The model for motions that were not fitted; None where none of these moves, or too few rows were fitted."""
         fitted = _rows(problem, problem.fitted) if _moving(problem, motions) else None
         if fitted is None:
             return None

@@ -61,7 +61,7 @@ class NoiseFloor:
 
     @property
     def power(self) -> np.ndarray:
-        """Of both, by frequency (bins, c)."""
+        """Power of both, by frequency (bins, c)."""
         return self.sensor**2 + self.encoder
 
     def below(self, band: float, step: float) -> np.ndarray:

@@ -35,7 +35,7 @@ class MotionErrors:
 
     @property
     def last(self) -> Prediction:
-        """By the model as it is handed on."""
+        """Prediction by the model as it is handed on."""
         return self.before if self.after is None else self.after
 
     def to_dict(self) -> dict:

@@ -197,7 +197,7 @@ def _predicted(entry: Entry, problem: Problem, weights: Weights, floor: NoiseFlo
 
 
 def _with_own_links(entry: Entry, regression: Regression) -> Entry:
-    """Without a robot, links are known only to an estimator that estimates them."""
+    """The entry with its own links: without a robot, they are known only to an estimator that estimates them."""
     if entry.estimate is None or entry.estimate.links is None or not regression.knowledge.bodies:
         return entry
     links = entry.estimate.links

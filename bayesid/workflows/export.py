@@ -207,7 +207,7 @@ def _add_model(form: str, file: str, text: str, what: str, constants: JointConst
 
 
 def _of_robot(values: Mapping[str, tuple[float, str]]) -> dict[str, tuple[float, str]]:
-    """Without what is of the force/torque sensor, which nobody would look for in a model of the robot."""
+    """Values without those of the force/torque sensor, which nobody would look for in a model of the robot."""
     kinds = {kind.name: kind for kind in CLASSES}
     return {
         name: value for name, value in values.items()

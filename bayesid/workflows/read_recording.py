@@ -318,7 +318,7 @@ def _of_log(error: InputError, recordings: Mapping[str, Recording]) -> InputErro
 
 
 def _delays(experiment: Experiment, name: str, recording: Recording) -> tuple[Delay, ...]:
-    """By how much other topics are later than that of the positions."""
+    """Delays of other topics against that of the positions."""
     positions = next(s for s in recording.signals if s.quantity == "q")
     out = []
     for signal in recording.signals:

@@ -1,4 +1,4 @@
-"""From an estimate to the links and the friction that its URDF holds."""
+"""How an estimate becomes the links and the friction that its URDF holds."""
 
 from __future__ import annotations
 

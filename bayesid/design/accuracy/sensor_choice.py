@@ -100,7 +100,7 @@ class CandidateSensor:
     drives: tuple[int, ...] = ()  # indices of the joints that torque sensors are in
 
     def reading_map(self, channels: int) -> np.ndarray:
-        """From the channels of its kind to the readings (m, c); load cells of equal stiffness share a wrench as `pinv` does."""
+        """Map from its kind's channels to the readings (m, c); load cells of equal stiffness share a wrench as `pinv` does."""
         if self.load_map is not None:
             return np.linalg.pinv(self.load_map)
         return np.eye(channels)[list(self.drives)] if self.kind == "torque" else np.eye(channels)
@@ -234,7 +234,7 @@ class Outlook:
 
     @property
     def left(self) -> dict[str, float]:
-        """By body: root mean square, over its ten parameters, of the share of prior uncertainty that is left."""
+        """Share of prior uncertainty that is left, by body: root mean square over its ten parameters."""
         share = (self.link_std / self.prior_std) ** 2
         bodies = [n.rpartition(".")[0] for n in self.names]
         return {b: float(np.sqrt(np.mean([s for s, own in zip(share, bodies, strict=True) if own == b]))) for b in bodies}
@@ -304,7 +304,7 @@ def _outlook(bench: Bench, candidate: CandidateSensor, rel_std: float) -> Outloo
 
 
 def _weighting(bench: Bench, candidate: CandidateSensor, channels: int) -> np.ndarray:
-    """From the channels to white readings of unit variance at the recording's rate (m, c)."""
+    """Map from the channels to white readings of unit variance at the recording's rate (m, c)."""
     rate = 1.0 / min(usual_step(m.motion.table.times) for m in bench.motions if m.pieces)
     # Faster samples are averaged over the time of one sample of the recording.
     averaged = np.sqrt(rate / candidate.rate) if candidate.rate else 1.0

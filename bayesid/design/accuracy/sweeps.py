@@ -318,11 +318,11 @@ class LinearErrors:
     bias: np.ndarray  # without noise (p,)
 
     def covariance(self, noise: float, every_std: float) -> np.ndarray:
-        """For factors of the sensor noise's standard deviation, and of all standard deviations (p, p)."""
+        """Covariance for factors of the sensor noise's standard deviation, and of all standard deviations (p, p)."""
         return every_std**2 * (noise**2 * self.sensor + self.encoder)
 
     def std(self, noise: float, every_std: float) -> np.ndarray:
-        """Of the base parameters (r,); nan where they are not determined."""
+        """Standard deviations of the base parameters (r,); nan where they are not determined."""
         std = np.sqrt(np.diag(self.covariance(noise, every_std)))
         return np.where(self.bench.estimate.undetermined, np.nan, std)[: self.bench.rank]
 

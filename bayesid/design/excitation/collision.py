@@ -88,7 +88,7 @@ class _Collisions:
         self.kept = Results(1)  # the gradient follows the ratios at the same positions
 
     def witnesses(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """As `Clearance._witnesses`; Coal has no call for many positions at once."""
+        """The same as `Clearance._witnesses`; Coal has no call for many positions at once."""
         pairs = len(self.geometry.collisionPairs)
         distance, normal, points = np.empty((len(positions), pairs)), *np.empty((2, len(positions), pairs, 2, 3))
         turn = self.still.copy()

@@ -1,4 +1,4 @@
-"""From an experiment and options to an exciting trajectory.
+"""How an experiment and options become an exciting trajectory.
 
 A mount that gives changes the readings of a planned motion: the joints' own frequencies stay below a fifth of the resonance
 f_n, but products of joint motions in the wrench reach higher. A mount with little damping d enlarges a component at f by

@@ -95,7 +95,7 @@ class BodyKnowledge:
 
     @classmethod
     def of(cls, matrix: np.ndarray, values: np.ndarray, covariance: np.ndarray, freedom: float = inf) -> BodyKnowledge:
-        """From ``values = matrix @ p + e`` with e ~ N(0, covariance), (r, 10) and (r,), by generalised least squares."""
+        """Knowledge from ``values = matrix @ p + e``, e ~ N(0, covariance), (r, 10) and (r,), by generalised least squares."""
         size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         # Where data determine only sums of parameters, a covariance is zero along what they leave open: no knowledge either.
         variances, vectors = np.linalg.eigh(covariance / np.outer(size, size))
@@ -112,7 +112,7 @@ class BodyKnowledge:
         return cls(root @ (q.T @ target), root @ root.T, _SIZES[:, None] * unseen, freedom)
 
     def moved(self, rotation: np.ndarray, translation: np.ndarray) -> BodyKnowledge:
-        """In another frame, in which this one sits at a rotation (3, 3) and translation (3,) [m]."""
+        """The same in another frame, in which this one sits at a rotation (3, 3) and translation (3,) [m]."""
         change = transform_matrix(rotation, translation)
         return replace(self, mean=change @ self.mean, covariance=change @ self.covariance @ change.T, hidden=change @ self.hidden)
 

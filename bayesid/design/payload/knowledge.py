@@ -311,7 +311,7 @@ class HeldCombination:
         return _normal_inverse(self.rows(at)[1])
 
     def covariance(self, at: np.ndarray) -> np.ndarray:
-        """Of all parameters beside the mass, by white noise (p, p); those at their bounds are known."""
+        """Covariance of all parameters beside the mass, by white noise (p, p); those at their bounds are known."""
         inside = ((at > self.low + 1e-6) & (at < self.high - 1e-6))[self.kept]
         basis = self.basis[:, inside]
         return basis @ _normal_inverse(self.rows(at)[1] @ basis) @ basis.T

@@ -157,7 +157,7 @@ class Contest:
 
     @property
     def _distance(self) -> np.ndarray:
-        """By how many standard deviations the mean exceeds what is needed (rivals, rivals); infinite on the diagonal."""
+        """Standard deviations by which the mean exceeds what is needed (rivals, rivals); infinite on the diagonal."""
         mean, std = self.moments
         out = (mean - self.needed) / np.maximum(std, 1e-9)
         np.fill_diagonal(out, np.inf)

@@ -37,7 +37,7 @@ class HiddenChange:
 
 
 def smallest(selection: Selection, settings: Settings) -> tuple[HiddenChange, ...]:
-    """For every change that was not found, how large it had to be; one for each kind and place.
+    """Size that every change that was not found had to have; one for each kind and place.
 
     A change of amplitudes x adds ``1/2 x'Z'V^-1 Z x`` to the density's exponent, less what the size of its prior costs.
     """
@@ -206,7 +206,7 @@ def compare_with_learned(
     seed: int = 0,
     settings: Settings = DEFAULT,
 ) -> ReferenceComparison:
-    """As `compare_with_reference`, for a reference that several recordings are compared with.
+    """The same as `compare_with_reference`, for a reference that several recordings are compared with.
 
     ``learn`` gives what the reference says, at its own bandwidth or the one given [Hz]. Both are smoothed to the lower of the
     bandwidths that each of them would choose: where one of them shows no motion, what its regressor holds there is encoder

@@ -88,7 +88,7 @@ def held_out_errors(selection: Selection, recording: LaterRecording, settings: S
 
 
 def _residuals(selection: Selection, recording: LaterRecording) -> np.ndarray:
-    """Of held-out rows (N, m + 4): reference, with each change more, after, tolerance alone; and those of the own fit."""
+    """Residuals of held-out rows (N, m + 4): reference, with each change more, after, tolerance alone, the own fit."""
     groups = _groups(recording)
     rows, left = recording.rows, recording.left
     parts = [groups == g for g in range(groups.max() + 1)]
@@ -109,7 +109,7 @@ def _residuals(selection: Selection, recording: LaterRecording) -> np.ndarray:
 
 
 def _shares(means: np.ndarray) -> np.ndarray:
-    """Of the gap: closed in all, and by each change (..., 1 + m); from mean squares as `_residuals` orders them."""
+    """Shares of the gap closed in all, and by each change (..., 1 + m); from mean squares as `_residuals` orders them."""
     floor = means.min(axis=-1, keepdims=True)
     closed = np.concatenate([means[..., :1] - means[..., -3:-2], means[..., :-4] - means[..., 1:-3]], axis=-1)
     return share_of_gap(closed, means[..., :1], floor)

@@ -113,12 +113,12 @@ class Reference:
 
     @property
     def robot(self) -> Robot:
-        """With typical bodies where the URDF states no masses."""
+        """The robot, with typical bodies where the URDF states no masses."""
         return self.problem.experiment.robot
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """Of the model, friction of every joint included."""
+        """The effects of the model, friction of every joint included."""
         return self.problem.row_model.effects
 
     @property
@@ -156,7 +156,7 @@ class Reference:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Of `solution` (p, p): as estimated, dispersion included; as vague as bodies and effects are where it says nothing."""
+        """Covariance of `solution` (p, p), dispersion included; as vague as bodies and effects are where it says nothing."""
         covariance, hidden = self.estimate.full_covariance, self.estimate.undetermined
         assert covariance is not None
         if not hidden.any():

@@ -205,7 +205,7 @@ def _seen(found: Description, settings: Settings) -> bool:
 
 
 def _gap(before: Fit, after: Fit, seed: int) -> Gap | None:
-    """On unseen motions, with one model and with another; None where there are none."""
+    """The gap on unseen motions, with one model and with another; None where there are none."""
     return validate(after.projector, before, after, _dispersion(after), seed)
 
 

@@ -31,7 +31,7 @@ class ShapeFactor:
 
     @cached_property
     def text(self) -> str:
-        """As it stands in a formula."""
+        """The factor as it stands in a formula."""
         shown = "" if self.number is None else f"{self.number:.4g}"
         return self.form.format(x=self.variable, n=shown).replace("- -", "+ ")
 
@@ -52,7 +52,7 @@ class Shape:
 
     @cached_property
     def texts(self) -> tuple[str, ...]:
-        """As formulas, one a product."""
+        """The products as formulas."""
         return tuple(" * ".join(f.text for f in product) for product in self.products)
 
     @property
@@ -99,7 +99,7 @@ class Range:
 
     @property
     def span(self) -> float:
-        """From the least to the largest."""
+        """Difference between the largest and the least."""
         return self.high - self.low
 
 

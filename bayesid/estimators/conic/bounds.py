@@ -29,7 +29,7 @@ from bayesid.robot.robot import Robot
 
 
 def collision_boxes(robot: Robot, locked: Mapping[str, float] | None = None) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """For each body with collision geometry the box along its frame's axes that holds all of it, for `Bounds.box` [m].
+    """Box along its frame's axes that holds each body with collision geometry, for `Bounds.box` [m].
 
     The robot is loaded from a URDF with ``<collision>`` elements, ``locked`` are positions of locked joints as for
     `bayesid.load_robot`; a split sensor link has no box. An `InputError` where there is no geometry, or it cannot be read.

@@ -115,7 +115,7 @@ class LinkPrior:
         return min(1.0, (self.rel_std / _NEXT_TO_NONE) ** 2) if self.rel_std is not None else 1e-3
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values."""
+        """The prior as plain values."""
         return {
             "metric": self.metric,
             "rel_std": self.rel_std,

@@ -56,7 +56,7 @@ class Linear:
 
 @dataclass(frozen=True)
 class Conic:
-    """The problem."""
+    """The conic problem of an estimate."""
 
     factor: np.ndarray  # C, (n, n), upper triangular and regular
     centre: np.ndarray  # m, where the objective is zero (n,)
@@ -250,7 +250,7 @@ def solve_conic(problem: Conic) -> Solution:
 
 
 def _minimum(problem: Conic) -> Solution:
-    """By Clarabel; the first of its solutions whose certificate holds with plenty to spare, else the best."""
+    """The minimum by Clarabel; the first of its solutions whose certificate holds with plenty to spare, else the best."""
     (matrix, _, cones), slack = problem.constraints, problem.slack(problem.centre)
     # In u = C (x - m) the objective is 1/2 ||u||^2 whatever the data, and only constraints are left to be scaled: each
     # cone by one positive number. Squaring C, or scaling columns alone, costs half the digits.
@@ -314,7 +314,7 @@ def _inward(problem: Conic, found: Solution) -> Solution:
 
 
 def _clipped(problem: Conic, x: np.ndarray) -> np.ndarray:
-    """With negative eigenvalues of the scaled pseudo-inertias raised to zero."""
+    """The parameters with negative eigenvalues of the scaled pseudo-inertias raised to zero."""
     out = x.copy()
     values, vectors = np.linalg.eigh(problem.pseudo_inertias(x))
     raised = (vectors * np.maximum(-values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)

@@ -369,7 +369,7 @@ class Explainer:
         return columns, _squares(columns)
 
     def _design(self, change: Change) -> Design:
-        """Of the right readings."""
+        """Design of the right readings."""
         parts = (change.joints, change.zeros, change.gravity, np.array(change.weightless))
         key = tuple(b"" if a is None else np.asarray(a, dtype=float).tobytes() for a in parts)
         if key in self._designs:
@@ -395,7 +395,7 @@ class Explainer:
         return self._designs[key]
 
     def _log_likelihood(self, left: np.ndarray) -> float:
-        """Of one sample, by what is left of each column (c,)."""
+        """Log likelihood of one sample, by what is left of each column (c,)."""
         return _log_likelihood(left, self.floor)
 
 
@@ -467,5 +467,5 @@ def _log_likelihood(left: np.ndarray, floor: np.ndarray) -> float:
 
 
 def _score(log_likelihood: float, count: int, worth: float) -> float:
-    """By the Bayesian information criterion [nats]."""
+    """Score by the Bayesian information criterion [nats]."""
     return worth * log_likelihood - 0.5 * count * float(np.log(max(worth, 2.0)))
