@@ -226,11 +226,15 @@ class ControllerBounds(ShownResult):
         """
         if not width > 0.0:
             raise InputError(f"width = {width}: give a positive number, or the term would jump")
-        if shape == "ellipsoid":
-            return ellipsoid_term(np.asarray(sliding, float), self.covariance, self.ellipsoid, width)
+        radius = self._radius(shape)
         if shape == "ball":
-            return norm_term(np.asarray(sliding, float), self.rho, width)
-        raise InputError(f"shape '{shape}': choose ellipsoid or ball")
+            return norm_term(np.asarray(sliding, float), radius, width)
+        return ellipsoid_term(np.asarray(sliding, float), self.covariance, radius, width)
+
+    def _radius(self, shape: str) -> float:
+        if shape not in ("ellipsoid", "ball"):
+            raise InputError(f"shape '{shape}': choose ellipsoid or ball")
+        return self.ellipsoid if shape == "ellipsoid" else self.rho
 
     def tracking_bound(
         self, gains: np.ndarray | float, rate: float, width: float, shape: str = "ellipsoid", other: np.ndarray | float = 0.0
@@ -251,13 +255,13 @@ class ControllerBounds(ShownResult):
         Raises
         ------
         InputError
-            Something is not positive.
+            Something is not positive, or the shape is neither.
         """
         n, w = self.torque_model.robot.n, self.workspace
         diagonal = np.broadcast_to(np.asarray(gains, float), n)
         if not (np.all(diagonal > 0.0) and rate > 0.0 and width > 0.0):
             raise InputError(f"gains = {gains}, rate = {rate}, width = {width}: give positive numbers")
-        radius = self.ellipsoid if shape == "ellipsoid" else self.rho
+        radius = self._radius(shape)
         eigenvalues = mass_eigenvalues(self.torque_model, diagonal, w.draws, w.configurations, self.seed)
         return tracking_bound(radius, width, diagonal, rate, eigenvalues, other)
 

@@ -116,7 +116,8 @@ def _with_usual_model(problem: Problem) -> Problem:
     usual, model = _USUAL[problem.channel], problem.row_model
     own = {e.name for e in model.effects} - {"sensor_offset"}
     stored = any(m.stored for m in problem.experiment.motions)
-    if own == set(usual) and model.point is None and model.filters is None and not stored:
+    given = model.filters is not None or problem.smoother.reason == "as given"
+    if own == set(usual) and model.point is None and not given and not stored:
         return problem
     motions = tuple(replace(m, stored=None) for m in problem.experiment.motions)
     fitted = [m.name for m in motions if m.name in problem.fitted] or None

@@ -46,6 +46,14 @@ def test_the_floor_is_the_sensors_noise(arm, low_pass):
     assert judged(result.validation[0]).mood == "good" and "the sensor's noise" in over_noise(result.validation[0])
 
 
+@pytest.mark.parametrize("effects", [("viscous_friction", "coulomb_friction", "torque_offset"), ()])
+def test_the_floor_is_the_same_at_any_bandwidth(arm, effects):
+    """Fits of two bandwidths are compared with one noise, whatever their effects."""
+    floors = [noise_floor(prepare(arm, FitOptions("torque", effects=effects, bandwidth=b))) for b in (None, 15.0)]
+    powers = [floor.power for floor in floors if floor is not None]
+    np.testing.assert_array_equal(*powers)
+
+
 def test_a_model_that_lacks_something_cannot_call_it_noise(arm):
     """Half of the links' inertia is not in the model: the fit's own residuals hide it, the floor does not."""
     shift = np.random.default_rng(1).normal(size=6)

@@ -139,6 +139,12 @@ def test_robust_control_stays_within_its_bound(arm, identified):
         assert np.all((worst > 0.0) & (worst <= bound))
 
 
+def test_a_shape_that_there_is_not_is_refused(identified):
+    for ask in (identified.robust_term, lambda s, width, shape: identified.tracking_bound(5.0, 5.0, width, shape)):
+        with pytest.raises(bayesid.InputError, match="shape 'box': choose ellipsoid or ball"):
+            ask(np.ones(len(identified.values)), 0.02, "box")
+
+
 def test_files_hold_what_was_found(arm, runs, tmp_path):
     result = bayesid.bounds(runs["estimate"], urdfs=2, configurations=32)
     result.write(tmp_path / "out")
