@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import Finding, columns_of, listed
-from bayesid.recordings.table import GAP, Table, holes_left
+from bayesid.recordings.table import GAP, LONGEST_STEP, Table, holes_left
 from bayesid.robot.robot import Robot
 from bayesid.signals.arrays import runs
 
@@ -151,7 +151,7 @@ def check_trajectory(table: Table, robot: Robot, resolution: float | None, held:
             f"{table.source}: {len(table)} rows are no trajectory (at least {MIN_SAMPLES}); "
             'record more, or write kind = "poses" if each row is a pose at rest'
         )
-    if table.velocities is None and table.step >= 0.5:
+    if table.velocities is None and table.step >= LONGEST_STEP:
         raise InputError(
             f"{table.source}: column t: steps of {table.step:g} s are no trajectory; {_clock(table)}; write seconds, or "
             'kind = "poses" if each row is a pose at rest'
@@ -171,7 +171,8 @@ def _clock(table: Table) -> str:
     """Unit of times whose steps are too long for seconds: that of a date, else of the likeliest rate."""
     if (np.diff(table.times) == 1.0).all():
         return "t seems to count the rows"
-    date = {unit: factor for unit, factor in _CLOCKS.items() if _EPOCH[0] < table.times[0] / factor < _EPOCH[1]}
+    short = {unit: factor for unit, factor in _CLOCKS.items() if table.step < LONGEST_STEP * factor}
+    date = {unit: factor for unit, factor in short.items() if _EPOCH[0] < table.times[0] / factor < _EPOCH[1]}
     unit = min(date or _CLOCKS, key=lambda name: abs(np.log(table.step / _CLOCKS[name] / _USUAL_STEP)))
     since = " since 1970" if date else ""
     return f"t seems to be in {unit}{since}, steps of {table.step / _CLOCKS[unit]:.3g} s"

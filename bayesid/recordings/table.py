@@ -76,6 +76,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 WRENCH_COLUMNS = ("fx", "fy", "fz", "mx", "my", "mz")
+LONGEST_STEP = 0.5  # samples this far apart are no trajectory [s]
 GAP = 5.0  # a step this many times the median one is a gap: nothing may be filtered across it
 _BLOCK_ROWS = 200_000
 #: Columns of one number a joint, by the array they go into.

@@ -27,6 +27,7 @@ from bayesid.results.files import BESIDE
 from bayesid.robot.prior import Prior
 from bayesid.robot.urdf import JointDynamics
 from bayesid.rounding import LEVEL
+from bayesid.validation.flexible import FlexibleGap
 from bayesid.validation.prediction import Prediction
 
 if TYPE_CHECKING:
@@ -492,6 +493,7 @@ def _predictions(listed: Sequence[Mapping[str, Any]]) -> tuple[Prediction, ...]:
             Prediction(
                 d["motion"], d["role"], names, ("",) * len(names), none[:, 0], none, none, rmse, rmse_raw, nrmse, nrmse_raw,
                 d["whitened_rms"], whitened, d["interval_coverage"], d["expected_rms"], d["noise_source"], d["repeats"],
+                flexible=None if (gap := d.get("flexible_model")) is None else FlexibleGap(gap["removed"], gap["std"]),
             )
         )  # fmt: skip
     return tuple(out)

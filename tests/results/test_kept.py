@@ -179,6 +179,7 @@ def test_a_loaded_estimate_has_what_the_estimate_has(results, loaded):
     (one,), (other,) = live.validation, back.validation
     assert (other.motion, other.relative_error) == (one.motion, pytest.approx(one.relative_error))
     assert_same(one.nrmse, other.nrmse)
+    assert one.flexible is not None and other.flexible == one.flexible
     assert_same(drawn(live.plot_intervals()), drawn(back.plot_intervals()))
     assert back.plot() is not None
 

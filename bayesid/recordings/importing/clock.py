@@ -15,6 +15,7 @@ from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut
 from bayesid.recordings.importing.stream import Stream
+from bayesid.recordings.table import LONGEST_STEP
 
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 _WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
@@ -87,8 +88,10 @@ def table_clock(stream: Stream, column: str, unit: str | None, source: str) -> R
             "no times in any row", file=source, key=name, remedy=f"name the column of times ({argument('columns')} t=NAME)"
         )
     first = float(finite[0])
-    if unit is None:  # a number that is the date of a computer in one unit is in no other
-        unit = next((u for u, per in _PER_SECOND.items() if _DATES[0] < first / per < _DATES[1]), "s")
+    if unit is None:  # a number that is the date of a computer in one unit is in no other, unless steps are too long for it
+        step = float(np.median(np.abs(np.diff(finite)))) if len(finite) > 1 else 0.0
+        dates = (u for u, per in _PER_SECOND.items() if _DATES[0] < first / per < _DATES[1] and step < LONGEST_STEP * per)
+        unit = next(dates, "s")
     per = _PER_SECOND[unit]
     if not _DATES[0] < first / per < _DATES[1]:
         times = values / per if per > 1 else values.astype(np.float64)

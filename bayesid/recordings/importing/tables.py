@@ -104,9 +104,13 @@ def _first_lines(path: Path) -> list[str]:
 
 def _header_line(lines: list[str], source: str) -> tuple[int, str]:
     """Index of the line that names the columns, after comments and blank lines, and what separates them."""
-    first = next((k for k, line in enumerate(lines) if line.strip() and not is_number(line.strip().split(",")[0])), None)
-    while first is not None and first + 1 < len(lines) and lines[first + 1].lstrip().startswith("#"):
-        first += 1  # remarks before a header that is one, too
+    filled = [k for k, line in enumerate(lines) if line.strip()]
+    first = next((k for k in filled if not is_number(lines[k].strip().split(",")[0])), None)
+    for after in filled if first is not None else ():  # remarks before a header, which may begin as they do
+        if after > first:
+            if not lines[after].lstrip().startswith("#") and not _is_remark(lines[first], lines[after]):
+                break
+            first = after
     if first is None:
         if any(line.strip() for line in lines):
             raise InputError("line 1 holds numbers", file=source, remedy="write a header that names the columns")
@@ -120,6 +124,15 @@ def _header_line(lines: list[str], source: str) -> tuple[int, str]:
         problem = f'line {first + 1} names one column, "{cut(lines[first].strip())}"'
         raise InputError(problem, file=source, remedy="separate columns with commas, semicolons or tabs")
     return first, separator
+
+
+def _is_remark(line: str, after: str) -> bool:
+    """Whether a line that begins with # names no columns: a line of another number of names comes after it."""
+    separators = (*_SEPARATORS, " ") if not any(s in after for s in _SEPARATORS) else _SEPARATORS
+    separator = max(separators, key=after.count)
+    begins = after.strip().split(separator)[0].strip()
+    alike = line.strip().lstrip("# ").count(separator) == after.strip().count(separator)
+    return line.lstrip().startswith("#") and not is_number(begins) and not alike
 
 
 def _by_joint(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -119,6 +119,16 @@ def test_times_of_any_kind(clock, known, tmp_path):
     assert clock in told.recording.signals[0].clock.text
 
 
+@pytest.mark.parametrize("since", [400, 40_000, 4_000_000])
+def test_nanoseconds_since_a_computer_started_are_no_date_in_longer_units(since, known, tmp_path):
+    """4e11 ns would be a date in milliseconds, but with steps of hours: the advice is the true unit."""
+    frame = by_joint(known, time=since * 10**9 + known.ns)
+    frame.drop(columns=[c for c in frame if c.endswith("velocity")]).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(InputError, match=r"t seems to be in nanoseconds, steps of 0.00\d+ s; .* units t=ns"):
+        only(tmp_path / "log.csv", known)
+    np.testing.assert_allclose(only(tmp_path / "log.csv", known, units={"t": "ns"}).times, since + known.t, rtol=0, atol=1e-9)
+
+
 def test_units_in_brackets_after_a_name_are_taken(known, tmp_path):
     frame = pd.DataFrame({"Time (ms)": known.t * 1e3})
     for k in range(2):
@@ -152,6 +162,8 @@ def test_separators_and_decimals_of_other_countries(known, tmp_path):
     text = (tmp_path / "tab.txt").read_text(encoding="utf-8").replace("\t", ",")
     (tmp_path / "remarks.csv").write_text("# made by a logger\n# rate 125\n# " + text, encoding="utf-8-sig")
     np.testing.assert_array_equal(only(tmp_path / "remarks.csv", known).positions, known.q)
+    (tmp_path / "plain.csv").write_text("# made by a logger\n\n# rate: 125, even\n" + text, encoding="utf-8-sig")
+    np.testing.assert_array_equal(only(tmp_path / "plain.csv", known).positions, known.q)
 
 
 def test_any_name_of_a_file_becomes_one_that_a_folder_takes(known, tmp_path):
