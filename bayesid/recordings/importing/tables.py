@@ -106,15 +106,14 @@ def _header_line(lines: list[str], source: str) -> tuple[int, str]:
     """Index of the line that names the columns, after comments and blank lines, and what separates them."""
     filled = [k for k, line in enumerate(lines) if line.strip()]
     first = next((k for k in filled if not is_number(lines[k].strip().split(",")[0])), None)
-    for after in filled if first is not None else ():  # remarks before a header, which may begin as they do
-        if after > first:
-            if not lines[after].lstrip().startswith("#") and not _is_remark(lines[first], lines[after]):
-                break
-            first = after
     if first is None:
-        if any(line.strip() for line in lines):
+        if filled:
             raise InputError("line 1 holds numbers", file=source, remedy="write a header that names the columns")
         raise InputError("is empty", file=source, remedy="give a table with a header and one row per sample")
+    for after in [k for k in filled if k > first]:  # remarks before a header, which may begin as they do
+        if not lines[after].lstrip().startswith("#") and not _is_remark(lines[first], lines[after]):
+            break
+        first = after
     counts = {separator: lines[first].count(separator) for separator in _SEPARATORS}
     separator = max(counts, key=lambda s: counts[s])
     if not counts[separator] and len({len(line.split(" ")) for line in lines[first:] if line}) == 1:
