@@ -25,7 +25,7 @@ from bayesid.report.changes import changes_report
 from bayesid.results.changes import next_experiment
 from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
-from tests.robots import puma560, write
+from tests.robots import puma560, wrist_sensor_arm, write
 from tests.simulated import experiment, fourier, puma2, recording
 
 
@@ -184,6 +184,21 @@ def test_intervals_hold_a_tool_far_from_its_joint(tmp_path):
         assert inertia.is_physically_consistent(np.array([v.value for v in change.values]), 0.0)
         off += [(v.value - tool[v.name]) / v.std for v in change.values]
     assert np.mean(np.abs(off) < 1.96) > 0.85 and np.max(np.abs(off)) < 4.0
+
+
+def test_a_body_beyond_a_sensor_is_told_in_the_frame_of_its_joint(tmp_path):
+    """The sensor's fixed joint is turned and shifted against the joint whose link it splits."""
+    robot = load_robot(write(tmp_path, wrist_sensor_arm()), sensor_joint="wrist_ft")
+    arm = experiment(robot, [], Sensor("wrist_ft"))
+    assert np.abs(robot.body_rotation[6] - np.eye(3)).max() > 0.5
+    path = [bayesid.fourier_trajectory(robot, duration=8.0, rate=60.0, seed=1)]
+    tool = dict(zip(inertia.PARAMETERS, (0.5, 0.05, 0.02, 0.01, 0.006, 0.0, 0.02, 0.0, 0.0, 0.02), strict=True))
+    loaded = bayesid.simulate(arm, path, effects={"payload@joint6": tool}, seed=4)
+    found = bayesid.diagnose(loaded, "wrench", reference=bayesid.simulate(arm, path, seed=3))
+    (change,) = found.comparison.changes
+    assert change.change.spec == "payload@joint6"
+    for v in change.values:
+        assert abs(v.value - tool[v.name]) < 4.0 * v.std
 
 
 def test_friction_of_one_joint_is_named(arm):

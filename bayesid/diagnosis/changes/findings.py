@@ -19,9 +19,10 @@ from bayesid.diagnosis.changes.selection import Accepted, Scores, Selection, sel
 from bayesid.diagnosis.fit import outside, squared_distance
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.effects import Term
-from bayesid.effects.bodies import Payload
+from bayesid.effects.bodies import Payload, body_of, split_matrix
 from bayesid.estimators.conic.problem import nearest_body
 from bayesid.recordings.experiment import Experiment
+from bayesid.robot.robot import Robot
 
 #: Factor to which the smallest size is sought.
 _PRECISION = 1.02
@@ -223,7 +224,8 @@ def compare_with_learned(
     named = confirmed(selection, errors, settings)
     free = selection.for_values
     fitted = amplitudes(free.marginal())
-    each = zip(selection.accepted, free.accepted, _estimates(free, fitted), errors.shares, errors.shares_low, strict=True)
+    estimates = _estimates(reference.robot, free, fitted)
+    each = zip(selection.accepted, free.accepted, estimates, errors.shares, errors.shares_low, strict=True)
     changes = tuple(
         NamedChange(a, _values(reference, b.change, *estimate), share, low, _derived(b.change, *estimate))
         for a, b, estimate, share, low in each
@@ -235,14 +237,19 @@ def compare_with_learned(
     )  # fmt: skip
 
 
-def _estimates(selection: Selection, fitted: Amplitudes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Amplitudes (k,) of every change and their covariance (k, k); what was attached or taken away is a body that can exist."""
+def _estimates(robot: Robot, selection: Selection, fitted: Amplitudes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Amplitudes (k,) of every change and their covariance (k, k).
+
+    What was attached or taken away is a body that can exist, in its joint's frame: columns are in that of the body it hangs on.
+    """
     for a, own in zip(selection.accepted, selection.directions, strict=True):
         mean, root = fitted.part(own)[a.change.columns], fitted.part_root(own)[a.change.columns]
         covariance = root @ root.T
         if isinstance(a.change.effects[0], Payload):
             sign = np.copysign(1.0, mean[0])
-            mean = sign * nearest_body(sign * mean, covariance)
+            to_joint = split_matrix(robot, body_of(robot, a.change.effects[0].joint))
+            mean = to_joint @ (sign * nearest_body(sign * mean, covariance))
+            covariance = to_joint @ covariance @ to_joint.T
         yield mean, covariance
 
 
