@@ -226,12 +226,12 @@ class FluidDrag(LoadEffect):
     def loads(self, robot, segment, states, values) -> Loads:
         linear, quadratic = values
         out: dict[int, np.ndarray] = {}
-        for joint, ends in zip(robot.rod_joint, robot.rods, strict=True):
+        for joint, body, ends in zip(robot.rod_joint, map(int, robot.rod_body), robot.rods, strict=True):
             rod = ends[1] - ends[0]
             length = float(np.linalg.norm(rod))
             if length < 1e-9:
                 continue
-            x, body = states[:, joint], body_of(robot, int(joint))
+            x = states[:, joint]
             start, along = _at(states, joint, ends[0]), _along(states, joint, rod)
             spin, force, later = x[:, W : W + 3], np.zeros_like(start), np.zeros_like(start)
             velocity, change = x[:, V : V + 3] + _cross(spin, start - x[:, P : P + 3]), _cross(spin, along)

@@ -43,6 +43,7 @@ class SensorPlace:
     placement: Any  # of the sensor joint's child link in that joint's frame
     bodies: np.ndarray  # which bodies it carries
     far: Any | None  # inertia of a split link's far part, in the sensor joint's child frame; None where no link is split
+    beyond: frozenset[int] = frozenset()  # the model's frames beyond it, where a link may be split
 
 
 def locate_sensor(urdf: Path, model, name: str, index, parent, anchor, frame) -> SensorPlace:
@@ -84,12 +85,15 @@ def locate_sensor(urdf: Path, model, name: str, index, parent, anchor, frame) ->
         else:
             bodies[:n] |= _movers(parent)[anchor[j]]
     bodies[n:] = True
-    return SensorPlace(mover, placement, bodies, far)
+    return SensorPlace(mover, placement, bodies, far, frozenset(beyond))
 
 
-def joint_rods(model, anchor, frame) -> tuple[np.ndarray, np.ndarray]:
-    """Lines between the origins of neighbouring joints of moving links, none on the root: their joints (r,), ends (r, 2, 3)."""
-    joint, ends = [], []
+def joint_rods(model, anchor, frame, sensor: SensorPlace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lines between the origins of neighbouring joints of moving links, none on the root.
+
+    Their joints (r,), ends (r, 2, 3), and the bodies that they are parts of (r,): of a split link one on either side.
+    """
+    joint, ends, body = [], [], []
     kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
     for k, child in enumerate(model.frames):
         if child.type not in kinds or k == 0:
@@ -108,7 +112,8 @@ def joint_rods(model, anchor, frame) -> tuple[np.ndarray, np.ndarray]:
             tip = frame[mover] * child.placement.translation
         joint.append(anchor[mover])
         ends.append([frame[mover] * holder.placement.translation, tip])
-    return np.array(joint, int), np.array(ends, float).reshape(-1, 2, 3)
+        body.append(len(sensor.bodies) - 1 if anchor[mover] == sensor.parent and up in sensor.beyond else anchor[mover])
+    return np.array(joint, int), np.array(ends, float).reshape(-1, 2, 3), np.array(body, int)
 
 
 def _movers(parent: np.ndarray) -> np.ndarray:
@@ -170,9 +175,9 @@ class Robot:
         Which bodies the sensor carries (b,).
     static_nominal
         Nominal parameters of what does not move but is carried by a base sensor, about the root (10,).
-    rod_joint, rods
+    rod_joint, rods, rod_body
         Straight lines from the origin of each moving link to those of its child joints, fixed and locked ones
-        included: the joint whose frame each moves with (r,), its two ends in that frame (r, 2, 3) [m].
+        included: the joint whose frame each moves with (r,), its two ends in that frame (r, 2, 3) [m], its body (r,).
     """
 
     name: str
@@ -200,6 +205,7 @@ class Robot:
     static_nominal: np.ndarray
     rod_joint: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     rods: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 3)))
+    rod_body: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
 
     def __repr__(self) -> str:
         return f"<Robot {self.name}: {self.n} joints, {len(self.body_names)} bodies>"
@@ -322,9 +328,9 @@ def load_robot(
         body_translation = np.vstack([body_translation, sensor.placement.translation])
     # Only what hangs on the far side of a sensor in a joint loads it; on the root that part does not move.
     static_nominal = static.toDynamicParameters() if sensor_joint is None else far if sensor.parent < 0 else np.zeros(10)
-    rod_joint, rods = joint_rods(model, anchor, frame)
+    rod_joint, rods, rod_body = joint_rods(model, anchor, frame, sensor)
     arrays = dict(
-        rod_joint=rod_joint, rods=rods,
+        rod_joint=rod_joint, rods=rods, rod_body=rod_body,
         parent=parent, rotation=rotation, translation=translation, axis=axis, prismatic=prismatic, lower=lower,
         upper=upper, velocity_limit=velocity_limit, effort_limit=effort_limit,
         gravity=np.asarray(gravity, float), body_joint=body_joint, nominal=nominal, body_rotation=body_rotation,

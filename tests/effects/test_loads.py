@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from bayesid.dynamics.channels import wrench_channels
 from bayesid.effects import columns, readings
 from bayesid.robot.robot import load_robot
 from tests.effects.arms import at_base, moving, oracle, term
@@ -54,6 +55,28 @@ def test_drag_acts_along_the_links(panda):
     # The hand is fixed to link 7: its mount is a rod's end, the base's first joint is none.
     lengths = np.linalg.norm(panda.rods[:, 1] - panda.rods[:, 0], axis=1)
     assert lengths.sum() == pytest.approx(0.316 + 0.0825 + np.hypot(0.0825, 0.384) + 0.088 + 0.107)
+
+
+def test_a_sensor_in_a_link_feels_the_drag_beyond_it_alone(wrist):
+    """Of the last link the rods from the sensor's joint over the tool's mount to its tip, not the one before the sensor."""
+    segment, sample = moving(wrist), 130
+    sensor = wrench_channels(wrist, np.eye(3), np.zeros(3))
+    drag = readings(wrist, sensor, segment, wrist.nominal, [term(wrist, "fluid_drag", 3.0, 8.0)])[sample]
+    drag -= readings(wrist, sensor, segment, wrist.nominal)[sample]
+    model = pin.buildModelFromUrdf(str(wrist.urdf))
+    data = model.createData()
+    pin.forwardKinematics(model, data, segment.positions[sample], segment.velocities[sample])
+    placements = [model.frames[model.getFrameId(name)].placement for name in ("wrist_ft", "tool_mount", "tip")]
+    total, pieces = pin.Force.Zero(), 400
+    for start, end in zip(placements, placements[1:], strict=False):
+        rod = end.translation - start.translation
+        for k in range(pieces):
+            at = pin.SE3(np.eye(3), start.translation + (k + 0.5) / pieces * rod)
+            velocity = at.actInv(data.v[6]).linear
+            force = -(3.0 + 8.0 * np.linalg.norm(velocity)) * velocity * np.linalg.norm(rod) / pieces
+            total += at.act(pin.Force(force, np.zeros(3)))
+    np.testing.assert_allclose(drag, -placements[0].actInv(total).vector, atol=1e-5)
+    assert np.linalg.norm(drag[:3]) > 0.1
 
 
 def test_drag_of_a_single_joint_at_the_base_is_none(tmp_path):
