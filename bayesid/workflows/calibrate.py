@@ -93,8 +93,6 @@ def calibrate(
         raise InputError(f"{argument('mass_std', mass_std)}: give a standard deviation in kilograms, 0 or more")
     if reference is not None and mass is None:
         raise InputError(f"{argument('reference')}: says how much was hung on only with that mass; add {argument('mass', 1.0)}")
-    if chosen.effects is not None:
-        experiment = replace(experiment, effects=tuple(chosen.effects))
     asked = FitOptions(channel="wrench", motions=chosen.motions)
     body = weighed_alone(experiment, "wrench")
     if body is None and mass is not None:
@@ -102,22 +100,24 @@ def calibrate(
 
     def look(recorded: Experiment) -> Explained:
         free = recorded if body is None else replace(recorded, inertia_rel_std=None)
+        if chosen.effects is not None:
+            free = replace(free, effects=tuple(chosen.effects))
         return explain(free, asked, lambda _: False, lambda _: False, True, seed, settings, clock)
 
     found = look(experiment)
     best, known = found.best, None
     if body is not None:
         known = from_sensor(best.problem, best.estimate, body)
-    gain = None
-    if known is not None and mass is not None and known.mass.shown:
-        weighed, variance = known.mean[0], known.covariance[0, 0]
-        if reference is not None:
-            clock("reference")
-            other = look(as_experiment(reference)).best
-            bare = from_sensor(other.problem, other.estimate, body or 0)
-            weighed, variance = weighed - bare.mean[0], variance + bare.covariance[0, 0]
+    gain, weighings = None, [known] if known is not None and mass is not None and known.mass.shown else []
+    if weighings and reference is not None:
+        clock("reference")
+        other = look(as_experiment(reference)).best
+        weighings.append(from_sensor(other.problem, other.estimate, body or 0))
+    if mass is not None and weighings and all(w.shown[0] for w in weighings):
+        weighed = weighings[0].mean[0] - sum(w.mean[0] for w in weighings[1:])
+        variance = sum(w.covariance[0, 0] for w in weighings)
         std = float(np.sqrt(variance + (weighed / mass * mass_std) ** 2)) / mass
-        gain = Quantity.of("gain", "1", weighed / mass - 1.0, std, known.half)
+        gain = Quantity.of("gain", "1", weighed / mass - 1.0, std, max(w.half for w in weighings))
     clock("result")
     return Calibration(
         fit=best, sensor=sensor.joint or "base", found=_quantities(best),
@@ -190,7 +190,7 @@ def _sentences(known: BodyKnowledge | None, gain: Quantity | None, mass: float |
             f"Against {number(mass)} kg of {what} the forces read {percent(gain.value, 2)} too much (± "
             f"{percent(gain.high - gain.value, 2)}): the common gain {verdict}."
         ]
-    if not known.mass.shown:
+    if not known.mass.shown or mass is not None:  # nor does a reference that leaves its own open
         return ["These recordings do not show the mass that the sensor carries: turn it through more attitudes."]
     # Two weighings, each as sure as this one.
     share = np.sqrt(2.0) * known.half * known.mass.std / _USUAL

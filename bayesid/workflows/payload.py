@@ -164,6 +164,8 @@ def payload(
     sensor = experiment.sensor
     if reference is not None:
         before = as_experiment(reference)
+        if chosen.effects is not None:
+            before = replace(before, effects=tuple(chosen.effects))
         source, detail = "reference", before.name
         found = _since(asked, before, joint)
     elif carried is not None:

@@ -85,6 +85,16 @@ def test_a_known_mass_tells_a_common_gain(wrist):
     assert doubted.std > 10.0 * whole.common_gain.std
 
 
+def test_a_reference_that_does_not_show_its_mass_tells_no_gain(wrist):
+    """Poses that never turn gravity; ``effects`` replace those of both recordings."""
+    q = np.zeros((12, wrist.robot.n)) + 0.2
+    q[:, 0] = np.linspace(-1.0, 1.0, 12)
+    still = Trajectory("poses", "identification", np.arange(12.0), q, 0.0 * q, 0.0 * q, kind="poses")
+    bare = replace(bayesid.simulate(wrist, [still], recorder=NOISE, seed=1), effects=("unheard_of",))
+    told = bayesid.calibrate(recorded(wrist, {}, count=20), reference=bare, mass=1.5, effects=["sensor_offset"])
+    assert told.common_gain is None and told.mass.shown and "do not show the mass" in told.sentences[0]
+
+
 def test_a_motion_tells_the_delay(wrist):
     path = [bayesid.fourier_trajectory(wrist.robot, duration=10.0, seed=2)]
     made = bayesid.simulate(wrist, path, effects={"sensor_delay": {"delay": 0.006}}, recorder=NOISE, seed=4)

@@ -315,6 +315,7 @@ def test_what_cannot_be_told_is_refused_in_one_line(tmp_path, wrist):
     for broken, said in (
         (dict(), "a payload looks like a heavier last link: name a recording without it"),
         (dict(joint="joint9", reference=torques), "no such joint; choose one of joint1, joint2"),
+        (dict(effects=["unheard_of"], reference=torques), "no effect is called 'unheard_of'"),
         (dict(extent=-1.0), "give a length in metres above 0"),
     ):
         with pytest.raises(bayesid.InputError, match=said):
@@ -328,6 +329,16 @@ def test_what_cannot_be_told_is_refused_in_one_line(tmp_path, wrist):
     path = write(tmp_path / "arm", panda())
     carried = experiment(bayesid.load_robot(path, sensor_joint="panda_joint6"), [], Sensor("panda_joint6"))
     with pytest.raises(bayesid.InputError, match="carries 2 bodies that move against each other: keep panda_joint7 still"):
+        bayesid.payload(bayesid.simulate(carried, poses(carried.robot), seed=1))
+    finger = urdf_text("finger", [body("finger", 0.1, (0.0, 0.0, 0.02), (0.01, 0.01, 0.03))], [])
+    link = finger[finger.index("<link") : finger.index("</robot>")]
+    joint = (
+        '<joint name="grip" type="prismatic"><parent link="tool"/><child link="finger"/><axis xyz="1 0 0"/>'
+        '<limit lower="0" upper="0.05" effort="10" velocity="1"/></joint>'
+    )
+    path = write(tmp_path / "arm", wrist_sensor_arm().replace("</robot>", f"{link}{joint}</robot>"))
+    carried = experiment(bayesid.load_robot(path, sensor_joint="wrist_ft"), [], Sensor("wrist_ft"))
+    with pytest.raises(bayesid.InputError, match="carries 2 bodies that move against each other: keep grip still"):
         bayesid.payload(bayesid.simulate(carried, poses(carried.robot), seed=1))
     with pytest.raises(bayesid.InputError, match="'abb' is no controller"):
         bayesid.payload(bayesid.simulate(wrist, poses(wrist.robot), seed=1), diagnosis=False).export("abb")

@@ -83,7 +83,7 @@ def weighed_alone(experiment: Experiment, channel: str) -> int | None:
         return None
     carried = np.flatnonzero(robot.sensor_bodies)
     if len(carried) > 1:
-        moving = ", ".join(robot.joint_names[robot.body_joint[k]] for k in carried[1:])
+        moving = ", ".join(robot.joint_names[k] for k in robot.body_joint[carried] if k != robot.sensor_parent)
         raise InputError(
             f"experiment.toml: [sensor] joint '{sensor.joint}' carries {len(carried)} bodies that move against each other: keep "
             f"{moving} still and write them into [robot] locked instead of joints"
