@@ -177,14 +177,20 @@ class Regression:
         if low_pass is not None and times is None:
             raise InputError("low_pass is given without times; give the times of the samples, too")
         clock = np.arange(samples, dtype=float) if times is None else np.asarray(times, float)
+        _require_finite("times", clock)
         labels = list(dict.fromkeys(ids.tolist()))
         base = _base_of(matrix, names, units)
+        if not base.rank:
+            raise InputError("matrix is zero, so these rows show no parameter; give rows of a motion that does")
         kept = base.independent
         blocks = _blocks_of(np.concatenate([matrix[:, :, kept], target[:, :, None]], axis=2), clock, ids, labels)
         noise = None if errors is None else _GivenErrors(blocks, errors[:, :, :, kept]).law()
         poles = None
         if low_pass is not None:
-            poles = low_pass.poles(float(np.median(np.diff(clock[: len(blocks[0].times)]))))
+            steps = np.concatenate([np.diff(block.times) for block in blocks])
+            if not len(steps) or not np.median(steps) > 0.0:
+                raise InputError("times do not increase from sample to sample, which low_pass needs; sort each recording by time")
+            poles = low_pass.poles(float(np.median(steps)))
         return cls(
             base, (), (), channel, ("",) * channels, tuple(str(k) for k in labels),
             RowCache(partial(iter, tuple(blocks)), samples, channels * (len(base.names) + 1), known_poles=poles),
@@ -202,6 +208,8 @@ def _checked_pair(matrix: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, n
         raise InputError(
             f"matrix {matrix.shape} and target {target.shape}: give (samples, channels, parameters) and (samples, channels)"
         )
+    if not matrix.size:
+        raise InputError(f"matrix {matrix.shape} is empty: give at least one sample, channel and parameter")
     for name, array in (("matrix", matrix), ("target", target)):
         _require_finite(name, array)
     return matrix, target

@@ -135,6 +135,10 @@ def test_arrays_of_ones_own(tmp_path):
         (dict(parameter_names=["a"]), "1 names for 3 columns"),
         (dict(times=np.arange(3)), "one entry for each"),
         (dict(low_pass=LowPass(1, 50)), "without times"),
+        (dict(low_pass=LowPass(1, 50), times=np.arange(10.0)[::-1]), "times do not increase"),
+        (dict(times=np.append(np.arange(9.0), np.nan)), r"times\[9\] is not finite"),
+        (dict(matrix=np.ones((0, 2, 3)), target=np.ones((0, 2))), "is empty"),
+        (dict(matrix=np.zeros((10, 2, 3))), "matrix is zero"),
     ],
 )
 def test_bad_arrays_are_refused(change, message):
