@@ -12,7 +12,10 @@ import pytest
 from scipy.io import loadmat
 
 import bayesid
+from bayesid.design.bounds.knowledge import held_out_scale
 from bayesid.regression.linalg import standard_deviations
+from bayesid.regression.problem import prepare
+from bayesid.validation.noise_floor import noise_floor
 from tests.simulated import Motion, experiment, fourier, puma2, recording
 from tests.studies.page import DOCS
 
@@ -148,6 +151,25 @@ def test_more_data_do_not_make_bounds_useless(robot, lacking):
     t, q, v, a = fourier(robot, 30, duration=4.0)
     both, one = (bounds.torque(q, v, a, t).std.mean(axis=0) for bounds in (lacking[1], alone))
     np.testing.assert_allclose(both, one, rtol=0.25)
+
+
+def test_the_noise_of_readings_does_not_explain_what_is_left_of_filtered_ones(robot):
+    """Behind low-passes little noise is left, so that errors of a held-out motion above what parameters make of it count."""
+    roles, motions = ("identification", "validation"), []
+    for k, role in enumerate(roles):
+        motion = fourier(robot, k)
+        table = recording(robot, None, motion, seed=k, torque_std=0.5)
+        lacking = 0.05 * np.array([3.0, 1.5]) * np.sin(3.0 * motion[1])
+        motions.append(Motion(role, role, replace(table, torques=table.torques + drives(*motion[2:]) + lacking)))
+    made = experiment(robot, motions, inertia_rel_std=0.1, effects=DRIVES[:2])
+    problem = prepare(made, bayesid.FitOptions("torque", low_pass=bayesid.LowPass(1.0, 50.0)))
+    estimate = bayesid.fit(problem.regression)
+    dispersion, covariance = estimate.details.dispersion, estimate.full_covariance
+    blocks = list(problem.rows.blocks(["validation"]))
+    left = np.mean(np.concatenate([b.residual(estimate.solution) for b in blocks]) ** 2, axis=0)
+    own = np.mean(np.concatenate([np.sum((b.matrix @ covariance) * b.matrix, axis=2) for b in blocks]), axis=0)
+    assert dispersion > 1.3 and np.all(left > 1.5 * own)
+    assert held_out_scale(problem, estimate.solution, covariance, dispersion, noise_floor(problem)) == 1.0
 
 
 def test_the_same_robot_is_written_by_whichever_verb(robot, lacking, tmp_path):

@@ -193,7 +193,8 @@ def held_out_scale(
         return 1.0
     left = np.mean(np.concatenate([b.residual(mean) for b in blocks]) ** 2, axis=0)
     own = np.concatenate([np.sum((b.matrix @ covariance) * b.matrix, axis=2) for b in blocks]).mean(axis=0)
-    noise = 0.0 if floor is None else floor.power.mean(axis=0)
+    # The floor is that of readings as they are: of filtered ones it is unknown, and far smaller.
+    noise = 0.0 if floor is None or problem.row_model.filters is not None else floor.power.mean(axis=0)
     return float(np.clip(np.mean(np.maximum(left - noise, 0.0) / np.maximum(own, 1e-300)), 1.0 / dispersion, 1.0))
 
 
