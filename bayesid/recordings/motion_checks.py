@@ -35,9 +35,9 @@ def held_columns(table: Table) -> dict[str, float]:
 
 def held_findings(table: Table, held: Mapping[str, float]) -> list[Finding]:
     """What is said of `held_columns`: a line for those that are held alike."""
-    out, rate = [], 1.0 / table.step
-    left = dict(held)
+    out, left = [], dict(held)
     while left:
+        rate = 1.0 / table.step
         first = next(iter(left.values()))
         names = [name for name, rows in left.items() if abs(rows - first) < 0.1 * first]
         rows = float(np.median([left.pop(name) for name in names]))

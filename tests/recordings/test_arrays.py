@@ -79,6 +79,7 @@ def test_dates_and_durations_count_from_the_first(arm) -> None:
         (lambda d: d.assign(tau1=0.0, tau2=0.0), "0 in every row"),
         (lambda d: d.assign(tau1=np.inf), "torques, row 0: not finite"),
         (lambda d: d.head(10), "10 rows are no trajectory"),
+        (lambda d: d.head(1), "1 rows are no trajectory"),
     ],
 )
 def test_what_a_file_is_refused_for_arrays_are(change, says: str, arm) -> None:

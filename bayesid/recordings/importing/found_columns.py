@@ -219,7 +219,7 @@ class _Finder:
             if match:
                 axis = ("f" if match["force"] else "m") + match["axis"].lower()
                 groups[id(stream), bare[: match.start()]].setdefault(axis, (stream, column))
-            elif (match := re.fullmatch(r"(.*?)(?:wrench|ft)\[([0-5])\]", bare, re.IGNORECASE)) is not None:
+            elif (match := re.fullmatch(r"(.*?)(?:wrench|(?<![^\W_])ft)\[([0-5])\]", bare, re.IGNORECASE)) is not None:
                 groups[id(stream), match[1]].setdefault(WRENCH_COLUMNS[int(match[2])], (stream, column))
         whole = [group for group in groups.values() if len(group) == len(WRENCH_COLUMNS)]
         if len(whole) > 1:

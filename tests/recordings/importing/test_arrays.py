@@ -124,6 +124,14 @@ def test_parts_of_arrays_are_stated(known, tmp_path):
         bayesid.read_recording(tmp_path / "log.npz", known.urdf, joints=JOINTS, columns=columns | {"wrench": "state[7:13]"})
 
 
+def test_a_word_that_ends_as_a_wrench_is_called_is_none(known, tmp_path):
+    """An array "left" of six numbers beside the wrench."""
+    np.savez(tmp_path / "log.npz", **arrays(known), left=np.zeros_like(known.wrench))
+    imported = bayesid.read_recording(tmp_path / "log.npz", known.urdf, joints=JOINTS, sensor="wrist_ft")
+    holds(imported.experiment.motions[0].table, known)
+    assert imported.recordings[0].recording.left_over == tuple(f"left[{k}]" for k in range(6))
+
+
 def test_arrays_of_two_lengths_have_times_of_their_own(known, tmp_path):
     np.savez(tmp_path / "log.npz", t=known.t, q=known.q, tau=known.tau, wrench_time=known.t[::5], wrench=known.wrench[::5])
     options = dict(joints=JOINTS, sensor="wrist_ft")
