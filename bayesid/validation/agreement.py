@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.dynamics.base_parameters import structural_base
-from bayesid.errors import InputError
+from bayesid.errors import BayesidError
 from bayesid.estimators import Estimate, Estimator, fit
 from bayesid.estimators.factor import reduce_scaled
 from bayesid.estimators.nonlinear import solve
@@ -213,7 +213,7 @@ def fits_alone(problem: Problem, method: str | Estimator, motions: Iterable[str]
 def _fit_of(problem: Problem, method: str | Estimator, motions: Sequence[str]) -> Estimate | None:
     try:
         return fit(restrict(problem, motions).regression, method)
-    except (InputError, np.linalg.LinAlgError):
+    except (BayesidError, ArithmeticError, np.linalg.LinAlgError):
         return None
 
 

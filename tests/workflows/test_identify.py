@@ -9,7 +9,7 @@ from scipy.stats import chi2
 import bayesid
 from bayesid.cli import main
 from bayesid.robot.robot import load_robot
-from bayesid.validation.agreement import motions_apart
+from bayesid.validation.agreement import fits_alone, motions_apart
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import predict
 from tests.robots import ur5, wrist_sensor_arm, write
@@ -108,6 +108,19 @@ def test_motions_fitted_beside_the_estimate_are_compared_as_if_fitted_after_it(r
     (found,), (expected,) = result.agreements, motions_apart(result.problem, result.estimate, "wls")
     assert "validation" in found.first and not found.contradiction
     assert found.to_dict() == expected.to_dict()
+
+
+def test_a_motion_that_cannot_be_fitted_alone_is_compared_with_nothing(result):
+    """Whatever the estimator says of it: the estimate from all motions stands."""
+
+    class Picky:
+        name = "picky"
+
+        def fit(self, regression):
+            raise bayesid.EstimationError("the conic solver found no physical solution")
+
+    assert fits_alone(result.problem, Picky(), ["validation"]) == {"validation": None}
+    assert motions_apart(result.problem, result.estimate, Picky()) == []
 
 
 def test_json_holds_what_is_promised(result, tmp_path):
