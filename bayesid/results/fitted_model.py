@@ -232,8 +232,9 @@ def joint_dynamics(
 ) -> JointDynamics:
     """What was identified inside the joints, as a URDF holds it, and what it has no place for.
 
-    ``effects`` are values of estimated parameters that go with the links, ``determined`` which of them the data determine,
-    alone, and ``estimated`` those of the estimate itself where they are others: neither may be negative; (e,) each.
+    ``effects`` are values of estimated parameters that go with the links, beside those that are stated; ``determined`` which of
+    them the data determine, alone, and ``estimated`` those of the estimate itself where they are others: neither may be negative;
+    (e,) each.
     """
     friction: dict[str, dict[str, float]] = {}
     negative, beside = [], {}
@@ -242,7 +243,7 @@ def joint_dynamics(
         attribute, joint = effect.urdf_dynamics, effect.joint
         if attribute is None or joint is None:
             beside |= dict(zip(effect.column_names, zip(linked.tolist(), effect.units, strict=True), strict=True))
-        elif known[0] == 1.0:
+        elif known[0] != 0.0:  # stated values, which are not estimated, are not a number here
             name = problem.experiment.robot.joint_names[joint]
             if min(values[0], linked[0]) >= 0.0:
                 friction.setdefault(name, {})[attribute] = float(linked[0])

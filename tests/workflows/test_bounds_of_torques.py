@@ -197,6 +197,15 @@ def test_the_same_robot_is_written_by_whichever_verb(robot, lacking, tmp_path):
     assert np.all(error < 0.1)
 
 
+def test_friction_that_is_stated_is_in_the_robot_that_is_written(robot):
+    """As that which is estimated is: without it, a simulation of the file would have none at that joint."""
+    stated = {"viscous_friction@joint1": {"coefficient": 4.0, "fixed": True}}
+    found = bayesid.identify(replace(arm(robot, 0.0, effects=DRIVES[:2]), effect_values=stated))
+    assert "viscous_friction@joint1.coefficient" not in found.estimate.effect_names
+    damping = [found.urdf.dynamics.friction[f"joint{j}"]["damping"] for j in (1, 2)]
+    assert damping[0] == 4.0 and damping[1] == pytest.approx(2.0, rel=0.01)
+
+
 @pytest.fixture(scope="module")
 def saved(complete, tmp_path_factory):
     folder = tmp_path_factory.mktemp("mat")
