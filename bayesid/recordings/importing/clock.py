@@ -70,8 +70,11 @@ def topic_clock(stream: Stream, wanted: str | None, source: str) -> RowTimes:
     return RowTimes(kind, text, (times - times[0]) / 1e9, int(times[0]), late, notes=notes)
 
 
-def table_clock(stream: Stream, column: str, unit: str | None, source: str) -> RowTimes:
-    """The clock of a table: numbers of a unit, counted from anywhere or since 1970, or dates as ISO 8601 texts."""
+def table_clock(stream: Stream, column: str, unit: str | None, source: str, poses: bool = False) -> RowTimes:
+    """The clock of a table: numbers of a unit, counted from anywhere or since 1970, or dates as ISO 8601 texts.
+
+    What would be a date with steps that are too long for a trajectory is none, unless rows are separate ``poses``.
+    """
     values = stream.columns[column]
     name = f'column "{cut(column)}"'
     if values.dtype.kind not in "fiubM" or unit == "iso":
@@ -88,8 +91,8 @@ def table_clock(stream: Stream, column: str, unit: str | None, source: str) -> R
             "no times in any row", file=source, key=name, remedy=f"name the column of times ({argument('columns')} t=NAME)"
         )
     first = float(finite[0])
-    if unit is None:  # a number that is the date of a computer in one unit is in no other, unless steps are too long for it
-        step = float(np.median(np.abs(np.diff(finite)))) if len(finite) > 1 else 0.0
+    if unit is None:  # a number that is the date of a computer in one unit is in no other
+        step = float(np.median(np.abs(np.diff(finite)))) if len(finite) > 1 and not poses else 0.0
         dates = (u for u, per in _PER_SECOND.items() if _DATES[0] < first / per < _DATES[1] and step < LONGEST_STEP * per)
         unit = next(dates, "s")
     per = _PER_SECOND[unit]

@@ -148,9 +148,10 @@ class _Finder:
                 remedy = f"name one column a joint, or the joints that these are of ({argument('joints')})"
                 raise self._misstated(problem, key=f"columns {quantity}", value=given, remedy=remedy)
             found = {k: self._must(name, quantity) for k, name in enumerate(names)}
-        for k in range(len(joints)):
-            if (one := columns.get(f"{quantity}{k + 1}")) is not None:
-                found[k] = self._must(one, f"{quantity}{k + 1}")
+        ours = [f"{quantity}{k + 1}" for k in range(len(joints))]
+        found |= {k: self._must(columns[key], key) for k, key in enumerate(ours) if key in columns}
+        if found and given is None:  # some, one by one: others may have our names
+            found |= {k: there for k, key in enumerate(ours) if k not in found and (there := self._lookup(key)) is not None}
         return found
 
     def by_name(self, quantity: str, joints: Sequence[str]) -> dict[int, tuple[Stream, str]]:

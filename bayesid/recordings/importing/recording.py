@@ -238,7 +238,7 @@ def make_recording(
         if id(stream) in used and stream.clocks:
             clocks.append((stream, topic_clock(stream, clock, source.name)))
         elif id(stream) in used:
-            clocks.append((stream, table_clock(stream, *time_column(stream, stated, source.name), source.name)))
+            clocks.append((stream, table_clock(stream, *time_column(stream, stated, source.name), source.name, poses)))
     starts = [one.start for _, one in clocks if one.start is not None]
     if starts and len(starts) < len(clocks):
         kinds = "; ".join(f"{stream.name}: {one.text}" for stream, one in clocks)

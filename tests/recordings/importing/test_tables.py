@@ -416,6 +416,28 @@ def test_a_mapping_may_stand_in_experiment_toml(folder, known):
     assert table.source == "log.csv"
 
 
+def test_columns_with_our_names_go_with_those_that_are_named_one_by_one(folder, known):
+    frame = pd.DataFrame({"t": known.t, "erste": known.q[:, 0], "q2": known.q[:, 1], "Drehmoment": known.tau[:, 0]})
+    frame["tau2"] = known.tau[:, 1]
+    frame.to_csv(folder / "log.csv", index=False)
+    toml = (folder / "experiment.toml").read_text(encoding="utf-8")
+    stated = '[columns]\nq1 = "erste"\ntau1 = "Drehmoment"\n'
+    (folder / "experiment.toml").write_text(toml.replace(STATED_IN_THE_FOLDER, stated), encoding="utf-8")
+    table = bayesid.load_experiment(folder)["id"].table
+    np.testing.assert_array_equal(table.positions, known.q)
+    np.testing.assert_array_equal(table.torques, known.tau)
+
+
+def test_times_of_poses_may_be_dates_with_long_steps(folder, known):
+    """Milliseconds since 1970 half a minute apart: a drift goes with the times of poses."""
+    log = pd.read_csv(folder / "log.csv", sep=";", decimal=",").iloc[::100]
+    log["Zeit"] = START // 10**6 + 30_000 * np.arange(len(log))
+    log.to_csv(folder / "log.csv", sep=";", decimal=",", index=False)
+    toml = (folder / "experiment.toml").read_text(encoding="utf-8").replace('t = "ms"\n', "")
+    (folder / "experiment.toml").write_text(toml + 'kind = "poses"\n', encoding="utf-8")
+    np.testing.assert_array_equal(bayesid.load_experiment(folder)["id"].table.times, 30.0 * np.arange(len(log)))
+
+
 def test_what_is_wrong_with_a_mapping_in_experiment_toml_is_said_in_one_line(folder):
     toml = (folder / "experiment.toml").read_text(encoding="utf-8")
     for old, new, said in (
