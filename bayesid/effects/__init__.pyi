@@ -21,7 +21,7 @@ from .families import (
     TransmissionEffect,
 )
 from .library import EffectLibrary, load_effects
-from .linearised import Point, linearised, reach_of, starting_point
+from .linearised import Point, linearised, reach_of, starting_point, stated_of
 from .loads import ExternalContact
 from .model import Model
 from .segment import REST_SPEED, MotionSegment, middle_of
@@ -63,5 +63,6 @@ __all__ = [
     "readings",
     "rigid_columns",
     "starting_point",
+    "stated_of",
     "variables",
 ]

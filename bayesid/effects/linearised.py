@@ -79,6 +79,16 @@ def linearised(
     return rigid, others, target
 
 
+def stated_of(
+    effect: Effect, stated: Mapping[str, Mapping[str, float | bool]], joint_names: Sequence[str]
+) -> Mapping[str, float | bool]:
+    """What ``[model.values]`` states of an effect: by its place, by its joint's name, or for all of its kind."""
+    keys = [effect.spec, effect.name]
+    if effect.joint is not None:
+        keys.insert(1, f"{effect.name}@{joint_names[effect.joint]}")
+    return next((stated[key] for key in keys if key in stated), {})
+
+
 def starting_point(
     effects: Sequence[Effect], stated: Mapping[str, Mapping[str, float | bool]], joint_names: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -89,10 +99,7 @@ def starting_point(
     values, free = [], []
     for effect in effects:
         own = dict(zip(effect.parameters, effect.starts, strict=True))
-        spec = [effect.spec, effect.name]
-        if effect.joint is not None:
-            spec.insert(1, f"{effect.name}@{joint_names[effect.joint]}")
-        given = next((stated[s] for s in spec if s in stated), {})
+        given = stated_of(effect, stated, joint_names)
         for key, value in given.items():
             if key == "fixed":
                 continue

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayesid.arguments import call
 from bayesid.dynamics.channels import WRENCH_NAMES
-from bayesid.effects import Effect, Term
+from bayesid.effects import Effect, Term, stated_of
 from bayesid.errors import InputError
 from bayesid.estimators.conic.consistent_links import ConsistentLinks
 from bayesid.estimators.estimator import LEVEL
@@ -46,10 +46,7 @@ def fitted_model(
     values: EffectParameters = {spec: dict(given) for spec, given in experiment.effect_values.items()}
     for term in terms:
         effect = term.effect
-        keys = [effect.spec, effect.name]
-        if effect.joint is not None:
-            keys.insert(1, f"{effect.name}@{experiment.robot.joint_names[effect.joint]}")
-        stated = next((experiment.effect_values[key] for key in keys if key in experiment.effect_values), {})
+        stated = stated_of(effect, experiment.effect_values, experiment.robot.joint_names)
         found = {key: float(value) for key, value in zip(effect.parameters, term.values, strict=True)}
         values[effect.spec] = {**found, "fixed": True} if stated.get("fixed", False) else dict(found)
     return _once(experiment, effects), values

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.dynamics.base_parameters import structural_base
+from bayesid.effects import stated_of
 from bayesid.errors import BayesidError
 from bayesid.estimators import Estimate, Estimator, fit
 from bayesid.estimators.factor import reduce_scaled
@@ -117,12 +118,11 @@ def nominal_estimates(problem: Problem, weights: Weights) -> list[tuple[str, Est
     """
     robot, base, regression = problem.experiment.robot, problem.row_model.base, problem.regression
     links, names = robot.nominal.ravel(), regression.effect_names
-    values = problem.experiment.effect_values
-    effects = np.zeros(len(names))
-    for k, name in enumerate(names):
-        spec, _, parameter = name.rpartition(".")
-        given = {**values.get(spec.partition("@")[0], {}), **values.get(spec, {})}
-        effects[k] = given.get(parameter, 0.0)
+    row_model, values = problem.row_model, []
+    for effect in row_model.effects:
+        stated = stated_of(effect, problem.experiment.effect_values, robot.joint_names)
+        values += [float(stated.get(key, 0.0)) for key in effect.parameters]
+    effects = np.array(row_model.of_free(values), float)
     offset = weight_columns(problem.row_model)
     if base.absorbed is not None and offset:  # that column also holds the weight that looks like an offset
         effects[offset] += base.absorbed[: len(offset)] @ links

@@ -9,11 +9,15 @@ from scipy.stats import kstest
 import bayesid
 from bayesid.cli import main
 from bayesid.estimators import weights
+from bayesid.regression.problem import prepare
 from bayesid.report.comparison import comparison_report
-from bayesid.validation.agreement import gaps, hausman
+from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
+from bayesid.robot.robot import load_robot
+from bayesid.validation.agreement import gaps, hausman, nominal_estimates
 from bayesid.workflows import compare as module
 from bayesid.workflows.compare import DEFAULT_SET
 from tests.report_pages import read
+from tests.robots import write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 NOISE = dict(force_std=0.5, torque_std=0.1, resolution=2e-5)
@@ -170,6 +174,17 @@ def test_stated_values_of_effects_are_part_of_the_nominal_model(robot):
     assert any("No validation motion" in w for w in found.warnings)
     text = " ".join(read(comparison_report(found)).text.split())
     assert "There is no validation motion" in text and "fitted: no validation motion" in str(found)
+
+
+def test_stated_values_by_names_of_joints_are_part_of_the_nominal_model(tmp_path):
+    text = puma_two_joint_urdf().replace('"joint1"', '"shoulder"').replace('"joint2"', '"elbow"')
+    arm = load_robot(write(tmp_path, text), ["shoulder", "elbow"], PAPER_LOCKED)
+    stated = {"viscous_friction@shoulder": {"coefficient": 4.0}, "viscous_friction": {"coefficient": 2.0}}
+    table = recording(arm, None, fourier(arm, 0, 10.0), torque_std=0.1)
+    motions = [Motion("only", "identification", table)]
+    problem = prepare(experiment(arm, motions, effects=("viscous_friction",), effect_values=stated))
+    (_, nominal), _ = nominal_estimates(problem, weights.learn_weights(problem.regression))
+    np.testing.assert_array_equal(nominal.solution[problem.row_model.base.rank :], [4.0, 2.0])
 
 
 def test_differences_are_counted_in_sigmas_of_the_reference(compared):
