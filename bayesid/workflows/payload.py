@@ -376,7 +376,7 @@ def _beside(effects: Sequence[EffectBeside], plain: BodyKnowledge) -> list[str]:
 def _not_shown(result: PayloadEstimate) -> list[str]:
     """What the recordings do not show, and what helps."""
     body = result.body
-    if body.shown[0] and body.mean[0] + body.half * np.sqrt(body.covariance[0, 0]) < 0.0:
+    if body.negative:
         return [
             f"The mass comes out negative, {number(float(body.mean[0]), 3)} kg: sign, axes or order of the readings are not as "
             f"they are taken; `{call('check')}` looks for that."

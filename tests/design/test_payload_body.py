@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import truncnorm
 
 from bayesid.design.payload.body import BodyKnowledge, about_centre
 from bayesid.estimators.conic.problem import nearest_body
@@ -108,6 +109,27 @@ def test_draws_are_of_bodies_that_can_exist_and_else_of_the_normal_law():
     poses = BodyKnowledge(BODY, np.diag(SIZES**2), np.eye(10)[:, 4:]).draws(500, 4)
     assert np.isnan(poses[:, 4:]).all() and (poses[:, 0] > 0.0).all()
     np.testing.assert_array_equal(poses, BodyKnowledge(BODY, np.diag(SIZES**2), np.eye(10)[:, 4:]).draws(500, 4))
+
+
+@pytest.mark.parametrize("sigmas", [-1.0, -6.0, -60.0])
+def test_draws_of_a_mass_below_zero_are_of_the_cut_law(sigmas):
+    """Of poses, against rejection or the exponential tail; other parameters follow the mass."""
+    covariance = np.diag(SIZES**2)
+    covariance[0, 1] = covariance[1, 0] = 0.8 * SIZES[0] * SIZES[1]
+    found = BodyKnowledge(sigmas * SIZES, covariance, np.eye(10)[:, 4:]).draws(4000, 1) / SIZES
+    assert (found[:, 0] > 0.0).all() and np.isfinite(found[:, :4]).all()
+    law = truncnorm(-sigmas, np.inf, loc=sigmas)
+    assert abs(found[:, 0].mean() - law.mean()) < 5.0 * law.std() / np.sqrt(4000)
+    left = found[:, 1] - sigmas - 0.8 * (found[:, 0] - sigmas)
+    assert abs(left.mean()) < 0.05 and abs(left.std() - 0.6) < 0.04
+
+
+def test_of_a_mass_far_below_zero_no_body_is_sought_near_by():
+    """As a wrench with its sign reversed makes it; its draws are bodies all the same."""
+    known = BodyKnowledge(-BODY, np.diag((0.003 * SIZES) ** 2))
+    assert known.negative and known.possible is known and not known.mass.shown and known.mass.value == 0.0
+    assert inertia.is_physically_consistent(known.draws(50)).all()
+    assert not BodyKnowledge(-BODY, np.diag((100.0 * SIZES) ** 2)).negative
 
 
 def test_models_that_cannot_be_told_apart_share_an_interval():

@@ -231,6 +231,15 @@ def test_poses_that_never_turn_do_not_show_the_mass(wrist):
     assert not result.mass.shown and result.exports() == {} and "do not show the mass" in result.sentences[0]
 
 
+def test_a_motion_with_the_wrench_reversed_is_told_by_its_sign(wrist):
+    path = [bayesid.fourier_trajectory(wrist.robot, duration=6.0, rate=60.0, seed=2)]
+    made = bayesid.simulate(wrist, path, recorder=NOISE, seed=3)
+    (motion,) = made.motions
+    table = replace(motion.table, wrench=-motion.table.wrench)
+    result = bayesid.payload(replace(made, motions=(replace(motion, table=table),)), diagnosis=False)
+    assert not result.mass.shown and result.sentences[0].startswith("The mass comes out negative, −1.7")
+
+
 @pytest.fixture(scope="module")
 def crossed(tmp_path_factory):
     """Two joints whose axes cross where the links' frames are, with a body on the second and without it; and the body."""

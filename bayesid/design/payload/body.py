@@ -23,7 +23,7 @@ from functools import cached_property
 from math import inf, isfinite
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import log_ndtr, ndtri_exp
 from scipy.stats import t as student
 
 from bayesid.dynamics.kinematics import transform_matrix
@@ -129,10 +129,17 @@ class BodyKnowledge:
         """Half a central 95 % interval in standard deviations."""
         return half_interval(self.freedom)
 
+    @property
+    def negative(self) -> bool:
+        """Whether the mass comes out below zero for certain: readings are not what they are taken for."""
+        return bool(self.shown[0] and self.mean[0] + self.half * np.sqrt(self.covariance[0, 0]) < 0.0)
+
     @cached_property
     def possible(self) -> BodyKnowledge:
-        """The same about the nearest body that can exist, see `nearest_body`."""
-        return replace(self, mean=nearest_body(self.mean, self.covariance)) if self.shown.all() else self
+        """The same about the nearest body that can exist, see `nearest_body`; as it is where none is near."""
+        if self.negative or not self.shown.all():
+            return self
+        return replace(self, mean=nearest_body(self.mean, self.covariance))
 
     def draws(self, count: int, seed: int = 0) -> np.ndarray:
         """Draws of the ten parameters of bodies that can exist (count, 10); nan where nothing is known.
@@ -147,8 +154,12 @@ class BodyKnowledge:
             at = np.flatnonzero(self.shown)
             root = np.linalg.cholesky(self.covariance[np.ix_(at, at)])
             out[:, at] = self.mean[at] + rng.normal(size=(count, len(at))) @ root.T
-            while self.shown[0] and (bad := out[:, 0] <= 0.0).any():
-                out[np.ix_(bad, at)] = self.mean[at] + rng.normal(size=(int(bad.sum()), len(at))) @ root.T
+            if self.shown[0] and (bad := out[:, 0] <= 0.0).any():
+                std = np.sqrt(self.covariance[0, 0])
+                least = np.full(int(bad.sum()), -self.mean[0] / std)
+                mass = self.mean[0] + std * _cut_normal(least, np.full_like(least, inf), rng.uniform(size=len(least)))
+                # The others go with the mass, and scatter about that as they did.
+                out[np.ix_(bad, at)] += np.outer(mass - out[bad, 0], self.covariance[0, at] / std**2)
             return out
         size = np.sqrt(np.diag(self.covariance))
         root = size[:, None] * np.linalg.cholesky(self.covariance / np.outer(size, size))
@@ -229,8 +240,8 @@ def _cut_normal(low: np.ndarray, high: np.ndarray, share: np.ndarray) -> np.ndar
     """Quantiles of standard normal laws cut off at both ends (n,)."""
     flipped = low > 0.0  # in the tail where probabilities keep their digits
     a, b = np.where(flipped, -high, low), np.where(flipped, -low, high)
-    first, last = ndtr(a), ndtr(b)
-    found = np.clip(ndtri(first + np.where(flipped, 1.0 - share, share) * (last - first)), a, b)
+    share, last = np.where(flipped, 1.0 - share, share), log_ndtr(b)
+    found = np.clip(ndtri_exp(last + np.log(share + (1.0 - share) * np.exp(log_ndtr(a) - last))), a, b)
     return np.where(flipped, -found, found)
 
 
