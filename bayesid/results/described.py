@@ -9,7 +9,7 @@ from typing import Any
 import tomli_w
 
 from bayesid.diagnosis.description.choose import Chosen
-from bayesid.diagnosis.description.describe import Description, unit_of
+from bayesid.diagnosis.description.describe import Description
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment
@@ -26,13 +26,13 @@ _LISTED = 4
 
 def terms_of(description: Description, names: tuple[str, ...]) -> list[tuple[str, str, str, str, str]]:
     """Reading, formula, amplitude, half its 95 % interval and its unit, one row an amplitude."""
-    rows, at = [], 0
+    rows, at, units = [], 0, description.term.effect.units
     for chosen in description.terms:
         candidate = chosen.candidate
         for channel in candidate.channels:
             for text in candidate.shape.texts:
                 value, half = with_half(description.term.values[at], HALF * float(description.std[at]))
-                rows.append((names[channel], text, value, half, unit_of(names[channel], candidate.shape)))
+                rows.append((names[channel], text, value, half, units[at]))
                 at += 1
     return rows
 

@@ -11,7 +11,7 @@ from bayesid.cli import main
 from bayesid.diagnosis.description.candidates import CandidateTerm, candidates
 from bayesid.diagnosis.description.choose import adapted, closed
 from bayesid.diagnosis.description.columns import halves, ranges_of
-from bayesid.diagnosis.description.describe import describe, may_be
+from bayesid.diagnosis.description.describe import describe, draft_table, may_be
 from bayesid.diagnosis.description.shapes import Shape, ShapeFactor, single
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data
@@ -150,6 +150,14 @@ def test_numbers_are_adapted(robot):
     after = second.residual - left @ np.linalg.lstsq(left, second.residual)[0]
     share, low = closed(second, second.residual, after, base.projector.data.settings, 0)
     assert 0.9 < low < share < 1.05
+
+
+def test_units_are_those_of_the_joint():
+    both = single(ShapeFactor("{x}", "q2", "position", 2), ShapeFactor("{x}", "v1", "speed", 1))
+    for sliding, unit in (((), "N m per (rad)^2 per rad/s"), ((1,), "N per (m)^2 per rad/s"), ((0,), "N m per (rad)^2 per m/s")):
+        table = draft_table([CandidateTerm(both, (1,))], ("tau1", "tau2"), sliding)
+        assert table["parameters"]["c1"]["unit"] == unit
+    assert draft_table([CandidateTerm(both, (0,))], ("my",), (0, 1))["parameters"]["c1"]["unit"] == "N m per (m)^2 per m/s"
 
 
 def test_what_a_form_may_be():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.description.candidates import CandidateTerm, candidates
 from bayesid.diagnosis.description.choose import Chosen, choose
 from bayesid.diagnosis.description.columns import halves, parts_of, ranges_of
-from bayesid.diagnosis.description.shapes import Kind, Shape
+from bayesid.diagnosis.description.shapes import Kind, Shape, unit_of_variable
 from bayesid.diagnosis.fit import Fit, fit, squared_distance
 from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.validation import Gap, validate
@@ -22,8 +22,11 @@ from bayesid.effects import Effect, Term
 NAME = "draft"
 
 
-def draft_table(candidates: Sequence[CandidateTerm], names: Sequence[str]) -> dict[str, Any]:
-    """Formulas by the channels' names and the amplitudes to be estimated, ``c1`` ..., in the order of `amplitudes`."""
+def draft_table(candidates: Sequence[CandidateTerm], names: Sequence[str], sliding: Collection[int] = ()) -> dict[str, Any]:
+    """Formulas by the channels' names and the amplitudes to be estimated, ``c1`` ..., in the order of `amplitudes`.
+
+    ``sliding`` are the indices of the joints that slide, for the units.
+    """
     sums: dict[str, list[str]] = {}
     parameters: dict[str, dict[str, Any]] = {}
     for candidate in candidates:
@@ -31,15 +34,15 @@ def draft_table(candidates: Sequence[CandidateTerm], names: Sequence[str]) -> di
             for text in candidate.shape.texts:
                 key = f"c{len(parameters) + 1}"
                 sums.setdefault(names[channel], []).append(f"{key} * {text}")
-                parameters[key] = {"unit": unit_of(names[channel], candidate.shape)}
+                parameters[key] = {"unit": unit_of(names[channel], candidate.shape, sliding)}
     texts = {reading: " + ".join(parts) for reading, parts in sums.items()}
     return {"summary": "what no effect of the library explains, described", **texts, "parameters": parameters}
 
 
-def unit_of(reading: str, shape: Shape) -> str:
-    """Unit of the amplitude of a shape in a reading, for turning joints."""
-    own = "N" if reading.startswith("f") else "N m"
-    return " per ".join([own, *(u for f in shape.products[0] if (u := f.unit))])
+def unit_of(reading: str, shape: Shape, sliding: Collection[int]) -> str:
+    """Unit of the amplitude of a shape in a reading, with the indices of the joints that slide."""
+    own = unit_of_variable(reading, sliding)
+    return " per ".join([own, *(u for f in shape.products[0] if (u := f.unit(sliding)))])
 
 
 def draft_effect(data: DiagnosisData, table: dict[str, Any]) -> Effect:
@@ -179,7 +182,7 @@ def _drafted(start: Fit, chosen: tuple[Chosen, ...], tried: int, seed: int) -> D
     """The draft fitted exactly, and what it does on unseen motions."""
     projector, data = start.projector, start.projector.data
     terms = [c.candidate for c in chosen]
-    table = draft_table(terms, data.channels.names)
+    table = draft_table(terms, data.channels.names, np.flatnonzero(data.robot.prismatic).tolist())
     effect = draft_effect(data, table)
     fitted = fit(projector, (*start.terms, Term(effect, (0.0,) * len(effect.parameters))), start)
     known = len(start.terms)

@@ -5,7 +5,7 @@ A shape is written as it stands in ``[model.expressions]``; what multiplies it, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -14,8 +14,16 @@ import numpy as np
 
 Kind = Literal["position", "ripple", "speed", "direction", "acceleration", "load", "limit", "time", "oscillation", "memory"]
 
-#: Units of the variables of formulas for turning joints, by how they begin.
+#: Units of the variables of formulas, by how they begin; and of those that are others for a joint that slides.
 _UNITS = {"q": "rad", "v": "rad/s", "a": "rad/s^2", "tau": "N m", "f": "N", "m": "N m", "t": "s"}
+_SLIDING = {"q": "m", "v": "m/s", "a": "m/s^2", "tau": "N"}
+
+
+def unit_of_variable(name: str, sliding: Collection[int] = ()) -> str:
+    """Unit of a variable or reading such as ``q2``, with the indices of the joints that slide."""
+    kind = next(k for k in ("tau", "q", "v", "a", "f", "m", "t") if name.startswith(k))
+    number = name.removeprefix(kind)
+    return _SLIDING[kind] if kind in _SLIDING and int(number) - 1 in sliding else _UNITS[kind]
 
 
 @dataclass(frozen=True)
@@ -35,12 +43,11 @@ class ShapeFactor:
         shown = "" if self.number is None else f"{self.number:.4g}"
         return self.form.format(x=self.variable, n=shown).replace("- -", "+ ")
 
-    @property
-    def unit(self) -> str:
-        """Its unit; empty where it has none."""
+    def unit(self, sliding: Collection[int] = ()) -> str:
+        """Its unit, with the indices of the joints that slide; empty where it has none."""
         if not self.power:
             return ""
-        of = _UNITS[next(k for k in ("tau", "q", "v", "a", "f", "m", "t") if self.variable.startswith(k))]
+        of = unit_of_variable(self.variable, sliding)
         return of if self.power == 1 else f"({of})^{self.power}"
 
 
