@@ -17,6 +17,7 @@ best attempt of a search, and it must be a better account of its interval than n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -27,7 +28,8 @@ from bayesid.diagnosis.data import DiagnosisData, Episode, active_terms
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.noise import with_noise_of
 from bayesid.diagnosis.spectra import SpectralSegment, taper
-from bayesid.effects import Effect, ExternalContact, MotionSegment, columns
+from bayesid.effects import Effect, ExternalContact, MotionSegment, Term, columns
+from bayesid.effects.families import SensorEffect
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.table import Table
 from bayesid.regression.readings import make_channels
@@ -251,16 +253,16 @@ class _Place:
         return bool(np.any(self.at_origin))
 
 
-def less_push(experiment: Experiment, push: Push) -> Experiment:
-    """The experiment with readings of a wrench sensor as they were without the push."""
-    channels = make_channels(experiment, "wrench")
+def less_push(experiment: Experiment, push: Push, terms: Sequence[Term] = ()) -> Experiment:
+    """The experiment with readings of a wrench sensor, of which some effects are known, as they were without the push."""
+    channels, read = make_channels(experiment, "wrench"), [t for t in terms if isinstance(t.effect, SensorEffect)]
 
     def less(table: Table) -> Table:
         times, still = table.times, np.zeros_like(table.positions)
         force = np.stack([np.interp(times, push.times, axis, 0.0, 0.0) for axis in push.force.T], axis=1)
         trajectory = MotionSegment(times, table.positions, still, still, False, np.inf)
         always = (times[0] - 1.0, times[-1] + 1.0, 0.0, 0.0, 0.0, *push.values[5:])
-        unit = columns(experiment.robot, channels, trajectory, experiment.robot.nominal, (), push.effect, always)[:, :, 2:5]
+        unit = columns(experiment.robot, channels, trajectory, experiment.robot.nominal, read, push.effect, always)[:, :, 2:5]
         return table if table.wrench is None else replace(table, wrench=table.wrench - (unit @ force[:, :, None])[:, :, 0])
 
     motions = tuple(replace(m, table=less(m.table)) if m.name == push.motion else m for m in experiment.motions)

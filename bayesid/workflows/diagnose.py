@@ -236,7 +236,7 @@ def _with_errors(result: Diagnosis, push: Push | None, motions: Sequence[str] | 
     progress("errors without and with what is named" if result.found else "errors")
     experiment, (effects, values) = result.data.experiment, result.model
     if push is not None:
-        experiment = less_push(experiment, push)
+        experiment = less_push(experiment, push, result.search.base.terms)
     after = replace(experiment, effects=effects, effect_values=values) if result.found else None
     both = before_and_after(experiment, after, FitOptions(result.data.channel, motions=motions))
     shifts = both.shifts if result.data.prior is not None else ()  # of nominal links that are exact nothing moves

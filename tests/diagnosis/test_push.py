@@ -11,6 +11,8 @@ from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.push import find_push, less_push, without_push
+from bayesid.effects import EffectLibrary, Term
+from bayesid.recordings.experiment import WRENCH_COLUMNS
 from bayesid.results.diagnosis import validation_sentence
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -104,6 +106,19 @@ def test_readings_less_the_push_are_those_without_it(recorded):
     error, added = ((a.wrench - tables[2].wrench)[:, :3] for a in (tables[0], made.motions[0].table))
     assert np.sqrt(np.mean(error**2)) < 0.03 * np.sqrt(np.mean(added**2))
     np.testing.assert_array_equal(tables[1].wrench, tables[3].wrench)
+
+
+def test_a_push_is_taken_from_readings_as_a_faulty_sensor_reads_it(recorded):
+    """A sensor that is known to be turned and to read one axis too large."""
+    made = recorded(pushed)
+    _, push = sought(made)
+    effects = EffectLibrary().parse(["sensor_rotation", "sensor_gain@fy"], made.robot.joint_names, WRENCH_COLUMNS)
+    terms = [Term(effects[0], (0.1, -0.2, 0.3)), Term(effects[1], (0.25,))]
+    mixed = np.kron(np.eye(2), pin.exp3(np.array([0.1, -0.2, 0.3])).T)
+    mixed[1] *= 1.25
+    table, less = made.motions[0].table, less_push(made, push).motions[0].table
+    (faulty, _) = less_push(made, push, terms).motions
+    np.testing.assert_allclose(table.wrench - faulty.table.wrench, (table.wrench - less.wrench) @ mixed.T, atol=1e-9)
 
 
 def no_point(folder, times, positions):
