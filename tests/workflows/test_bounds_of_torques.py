@@ -145,6 +145,22 @@ def test_what_is_printed_beside_95_percent_of_the_samples_holds_95_percent(lacki
     assert "Pointwise bands of torques hold 95 % of the samples" in bounds.headline
 
 
+def test_a_joint_that_mostly_rests_has_a_band_there(robot):
+    """Its classes of speed are one and the same, and no class is without a bound where the held-out motion is not that fast."""
+    motions, lacking = [], np.array([3.0, 1.5])
+    for k, role in enumerate(("identification", "identification", "validation")):
+        t, q, v, a = fourier(robot, k, 12.0)
+        if k:
+            q[:, 1], v[:, 1], a[:, 1] = 0.4, 0.0, 0.0
+        table = recording(robot, None, (t, q, v, a), seed=k, torque_std=0.1)
+        missing = lacking * np.sin(21.0 * q[:, :1])
+        motions.append(Motion(f"m{k}", role, replace(table, torques=table.torques + missing)))
+    bounds = bayesid.bounds(bayesid.identify(experiment(robot, motions, inertia_rel_std=0.1)), configurations=8)
+    left = bounds.remainder
+    assert left is not None and np.all(left.at(np.zeros((1, 2))) > 0.35 * lacking) and np.all(left.by_speed.T > 0.9 * lacking)
+    assert np.all(bounds.trajectories[0].torque.std.min(axis=0) > 0.35 * lacking)
+
+
 def test_more_data_do_not_make_bounds_useless(robot, lacking):
     """Half bands of a fit with a validation motion are about those of the fit without one."""
     alone = bayesid.bounds(bayesid.identify(arm(robot, 1.0, roles=("identification",))), configurations=16)

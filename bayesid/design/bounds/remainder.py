@@ -45,7 +45,7 @@ class Remainder:
     #: Upper edges of classes of speed (c, k): the joint's own for its torque, the fastest joint's for the wrench [rad/s or
     #: m/s].
     speeds: np.ndarray
-    by_speed: np.ndarray  # the same bound in each class (c, k)
+    by_speed: np.ndarray  # the same bound in each class, of the fitted motions where no other is that fast (c, k)
     share: np.ndarray  # root mean square of what is left over that of the readings (c,)
     middles: np.ndarray  # median speed in each class (c, k)
     #: r by class: what the model lacks, as a standard deviation beside that of the parameters (c, k); zero where nothing does.
@@ -116,12 +116,16 @@ def remainder(problem: Problem, model: ReadingModel, floor: NoiseFloor | None = 
     more = e**2 / HALF**2 - own - noise
     speed = _speeds(v, model.channels.names)
     edges = np.quantile(speed, np.arange(1, _CLASSES + 1) / _CLASSES, axis=0)
-    bounds, middles, error = np.zeros((3, e.shape[1], _CLASSES))
+    of_classes = np.full((3, e.shape[1], _CLASSES), np.nan)
+    bounds, middles, error = of_classes
     for j, k, at in _classes(speed, edges):
+        bounds[j, k] = np.quantile(np.abs(e[at, j]), SHARE)
         middles[j, k] = np.median(speed[at, j])
         error[j, k] = np.sqrt(max(float(np.quantile(more[at, j], LEVEL)), 0.0)) if lacking[j] else 0.0
     for j, k, at in _classes(speed[:count], edges):
         bounds[j, k] = np.quantile(np.abs(e[:count][at, j]), SHARE)
+    for k in range(1, _CLASSES):  # where a joint mostly rests, several classes are that one speed
+        of_classes[:, :, k] = np.where(np.isnan(of_classes[:, :, k]), of_classes[:, :, k - 1], of_classes[:, :, k])
     rms = [np.sqrt(np.mean(x[:count] ** 2, axis=0)) for x in (e, y)]
     found = Remainder(
         model.channels.names, tuple(m.name for m in judges or fitted), bool(judges),
