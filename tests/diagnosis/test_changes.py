@@ -254,6 +254,23 @@ def test_another_robot_is_refused(arm, tmp_path):
         bayesid.diagnose(_recorded(arm, 1), reference=_recorded(moved, 1))
 
 
+def test_other_readings_than_the_references_are_told(tmp_path):
+    """Torques of other joints, and poses beside a motion; neither has anything to do with static readings."""
+    robot = puma2(tmp_path)
+    table = recording(robot, Sensor(), fourier(robot, 1, duration=6.0, rate=60.0), torque_std=0.1, force_std=0.5)
+    few = replace(table, torques=np.where([True, False], table.torques, np.nan))
+    q = np.random.default_rng(2).uniform(-2.0, 2.0, (30, 2))
+    held = recording(robot, Sensor(), (np.arange(30.0), q, 0.0 * q, 0.0 * q), torque_std=0.1, force_std=0.5)
+    whole, part = (experiment(robot, [Motion("run", "identification", t)], Sensor()) for t in (table, few))
+    poses = experiment(robot, [Motion("run", "identification", held, kind="poses")], Sensor())
+    for after, before, channel, said in (
+        (part, whole, "torque", "has tau1, tau2, but test has tau1; leave out"), (poses, whole, "wrench", "poses with poses"),
+        (whole, poses, "wrench", "poses with poses"),
+    ):  # fmt: skip
+        with pytest.raises(bayesid.InputError, match=said):
+            bayesid.diagnose(after, channel, reference=before)
+
+
 def test_a_reference_that_has_not_settled_stays_where_its_equations_hold(tmp_path):
     """Found by fuzzing: the last step of a fit that these motions do not determine left gear teeth without any width."""
     robot = puma2(tmp_path)

@@ -13,6 +13,7 @@ from bayesid.diagnosis.changes.reference import Reference, with_bodies
 from bayesid.errors import InputError
 from bayesid.estimators.dispersion import PARTS, Rows, dispersions
 from bayesid.estimators.nonlinear import solve
+from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare, weight_columns
@@ -53,10 +54,17 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
     before = reference.problem
     problem, estimate = solve(_prepared(reference, experiment, motions, before.smoother.bandwidth), "wls")
     model = problem.row_model
-    if model.base.rank != before.row_model.base.rank or len(estimate.solution) != len(reference.solution):
-        raise InputError(
-            f"{argument('reference', before.experiment.name)}: only one of the two has static readings; leave them out of both"
-        )
+    mine, other = model.channels.names, before.row_model.channels.names
+    alike = mine == other and model.base.rank == before.row_model.base.rank
+    if not alike or len(estimate.solution) != len(reference.solution):
+        named, after = argument("reference", before.experiment.name), experiment.name
+        if mine != other:
+            raise InputError(
+                f"{named}: has {listed(other)}, but {after} has {listed(mine)}; leave out of both what one of them lacks"
+            )
+        if _at_rest(problem) != _at_rest(before):
+            raise InputError(f"{named}: only one of the two is of poses at rest; compare poses with poses, motions with motions")
+        raise InputError(f"{named}: only one of the two has static readings; leave them out of both")
     segments = [s for name in problem.fitted for s in problem.segments[name]]
     blocks = list(make_blocks(with_proposals(model, reference.point, reference.proposals), segments))
     rows = np.concatenate([block.rows for block in blocks])
@@ -91,6 +99,11 @@ def _prepared(reference: Reference, experiment: Experiment, motions: Sequence[st
         library=before.experiment.library,
     )  # fmt: skip
     return prepare(known, FitOptions(before.channel, effects=before.effects, motions=motions, bandwidth=bandwidth))
+
+
+def _at_rest(problem: Problem) -> bool:
+    """Whether poses at rest are all that is fitted."""
+    return all(s.poses for name in problem.fitted for s in problem.segments[name])
 
 
 def _body_columns(problem: Problem) -> np.ndarray:
