@@ -85,7 +85,8 @@ def stated_of(
     """What ``[model.values]`` states of an effect: by its place, by its joint's name, or for all of its kind."""
     keys = [effect.spec, effect.name]
     if effect.joint is not None:
-        keys.insert(1, f"{effect.name}@{joint_names[effect.joint]}")
+        driver = "" if effect.driver is None else f"{joint_names[effect.driver]}->"
+        keys.insert(1, f"{effect.name}@{driver}{joint_names[effect.joint]}")
     return next((stated[key] for key in keys if key in stated), {})
 
 

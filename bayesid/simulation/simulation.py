@@ -25,7 +25,7 @@ from scipy.linalg import expm
 from bayesid.dynamics.channels import WRENCH_NAMES, Channels, torque_channels, wrench_channels
 from bayesid.effects import REST_SPEED, Effect, EffectLibrary, EncoderEffect, MotionSegment, Term, TransmissionEffect, middle_of
 from bayesid.effects.exact import readings
-from bayesid.effects.linearised import reach_of
+from bayesid.effects.linearised import reach_of, stated_of
 from bayesid.effects.sizes import ANY_EFFORT
 from bayesid.effects.torque_chain import coupling_matrix
 from bayesid.errors import InputError
@@ -321,7 +321,7 @@ def complete_effects(
         for effect in places_of(spec, robot, library or EffectLibrary()):
             own_here = own
             if own is None:
-                own_here = stated.get(effect.spec, stated.get(spec, stated.get(effect.name)))
+                own_here = stated_of(effect, stated, robot.joint_names)
             values = default_values(effect, robot)
             known = {key: float(value) for key, value in (own_here or {}).items() if key != "fixed"}
             for key in known:

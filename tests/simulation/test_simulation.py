@@ -11,16 +11,16 @@ import pytest
 
 import bayesid
 from bayesid.cli import main
-from bayesid.effects import REST_SPEED
+from bayesid.effects import REST_SPEED, EffectLibrary, starting_point
 from bayesid.effects.friction import ViscousFriction
 from bayesid.recordings.experiment import load_setup
 from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.robot import inertia
-from bayesid.robot.robot import motion_limits
+from bayesid.robot.robot import load_robot, motion_limits
 from bayesid.simulation.simulation import complete_effects, default_values, perturbed_links
 from bayesid.simulation.trajectories import new_trajectories, recorded_trajectories
 from bayesid.workflows.demo import demo_experiment, puma_setup
-from tests.robots import ROBOTS, write
+from tests.robots import ROBOTS, ur5, write
 
 CLEAN = bayesid.Recorder(resolution=0.0, position_std=0.0, force_std=0.0, torque_std=0.0, drive_std=0.0)
 
@@ -138,6 +138,19 @@ def test_values_come_from_the_model_then_the_defaults(setup):
     ]:  # fmt: skip
         with pytest.raises(bayesid.InputError, match=message):
             complete_effects(robot, effects, {})
+
+
+def test_values_stated_by_the_urdfs_names_are_those_of_the_joint(tmp_path):
+    """Of a whole kind, too, and where an effect couples two joints; estimates start there as simulations do."""
+    robot = load_robot(write(tmp_path, ur5()))
+    names, coupled = robot.joint_names, "coupled_transmission@wrist_2_joint->wrist_3_joint"
+    stated = {"viscous_friction@shoulder_lift_joint": {"coefficient": 7.0}, coupled: {"coupling": 1.0, "fixed": True}}
+    plant = complete_effects(robot, ["viscous_friction", "coupled_transmission@joint5->joint6"], stated)
+    assert plant["viscous_friction@joint2"] == {"coefficient": 7.0}
+    assert plant["coupled_transmission@joint5->joint6"] == {"coupling": 1.0}
+    effects = EffectLibrary().parse([coupled, "viscous_friction@joint2"], names, [f"tau{k + 1}" for k in range(6)])
+    values, free = starting_point(effects, stated, names)
+    assert values.tolist() == [1.0, 7.0] and free.tolist() == [False, True]
 
 
 def test_perturbed_links_can_exist_and_vary_as_asked(setup):
