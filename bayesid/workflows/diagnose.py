@@ -17,7 +17,7 @@ from bayesid.diagnosis.changes.findings import compare_with_reference
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.description.describe import describe
 from bayesid.diagnosis.fit import Fit, fit
-from bayesid.diagnosis.in_part import proven_effects
+from bayesid.diagnosis.in_part import InPart, proven_effects
 from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
@@ -160,12 +160,21 @@ def diagnose(
         if push is None and not closed and (below := holds_below(result.search, named)) < inf:
             again = searched(prepared(below))
             result = result if again.verdict == "unknown" else again
-        result = _with_errors(_concluded(result, seed, progress), push, motions, progress)
-        if push is not None:
-            result = _with_push(result, push, whole)
-        result = _with_next_motion(result, seed, progress)
-        result = _with_description(result, seed, progress)
-    return replace(result, seconds=time.perf_counter() - since)
+        tried = None
+        if result.verdict == "unknown":
+            progress("effects that held-out recordings confirm")
+            tried = proven_effects(result.search, seed)
+
+        def concluded(imitate: bool) -> Diagnosis:
+            out = _with_errors(_concluded(result, tried, imitate, seed), push, motions, progress)
+            if push is not None:
+                out = _with_push(out, push, whole)
+            return _with_description(_with_next_motion(out, seed, progress), seed, progress)
+
+        diagnosis = concluded(imitate=False)
+        if diagnosis.part is not None and diagnosis.description is not None and diagnosis.description.stands_alone:
+            diagnosis = concluded(imitate=True)
+    return replace(diagnosis, seconds=time.perf_counter() - since)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,18 +202,19 @@ def _stability(s: Search, named: Sequence[Found]) -> tuple[Stability | None, ...
     return stability(s.projector, s.best, len(s.base.terms), named, s.dispersion)
 
 
-def _concluded(found: _Decided, seed: int, progress: Progress) -> Diagnosis:
-    """The verdict on what was found, and everything that goes with it."""
+def _concluded(found: _Decided, tried: InPart | None, imitate: bool, seed: int) -> Diagnosis:
+    """The verdict on what was found, and everything that goes with it.
+
+    ``tried`` are effects that are proven although something stays; they are not named if they ``imitate`` what stays.
+    """
     s, gap, decided, reason = found.search, found.gap, found.verdict, found.reason
     data: DiagnosisData = s.projector.data
-    part, tried, contradicted, stays, why = None, None, False, (), reason
+    part, contradicted, stays, why = None, False, (), reason
     if decided != "unknown":
         s = found.sure
     else:  # the best attempt is shown as it is
-        progress("effects that held-out recordings confirm")
-        tried = proven_effects(s, seed)
         gap = validate(s.projector, s.base, s.best, s.dispersion, seed, complete=False)
-    if tried is not None and named_in_part(tried, data.settings):
+    if tried is not None and not imitate and named_in_part(tried, data.settings):
         closer = validate(tried.search.projector, tried.search.base, tried.search.best, s.dispersion, seed, complete=False)
         contradicted = denied(evidence_of(tried.search, closer), data.settings)
         if not contradicted:

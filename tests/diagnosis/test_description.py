@@ -107,6 +107,27 @@ def test_the_draft_closes_the_gap_that_it_promises_when_identify_uses_it(found, 
         assert left(*options) < 1.15
 
 
+CUBE = 1e-4
+
+
+@pytest.mark.slow
+def test_effects_of_which_nothing_is_left_beside_a_description_are_not_named(robot):
+    """A drive's torque that reads too little the larger it is: a gain and an offset imitate most of it, and are none."""
+    recorded = made(robot, nothing)
+    motions = []
+    for m in recorded.motions:
+        torques = m.table.torques.copy()
+        torques[:, 1] -= CUBE * torques[:, 1] ** 3
+        motions.append(replace(m, table=replace(m.table, torques=torques)))
+    found = bayesid.diagnose(replace(recorded, motions=tuple(motions)))
+    assert (found.verdict, found.found, found.part) == ("unknown", (), None)
+    assert any("torque_gain@joint2" in r and "not named" in r for r in found.remarks)
+    (term,) = found.description.terms
+    assert term.candidate.shape.texts == ("tau2**3",)
+    assert found.description.term.values[0] == pytest.approx(-CUBE, abs=3.0 * found.description.std[0])
+    assert found.description.gap.closed > 0.9
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_noise_is_not_described(robot, seed):
     """Thousands of candidates, nothing hidden, and no verdict in the way."""

@@ -37,6 +37,9 @@ BELOW, ABOVE = 0.999, 1.001
         (replace(CLEAR, residual=2.0, closed=DEFAULT.nearly_all * BELOW), ("unknown", "residual")),
         (replace(CLEAR, residual=2.0, after=math.sqrt(DEFAULT.unexplained) * ABOVE), ("unknown", "residual")),
         (replace(CLEAR, residual=2.0, explained=DEFAULT.nearly_all * BELOW), ("unknown", "residual")),
+        # ... down to about the noise: a floor that is high because effects are uncertain vouches for nothing.
+        (replace(CLEAR, residual=2.0, before=9.0, after=1.5, floor=2.0), ("unknown", "residual")),
+        (replace(CLEAR, residual=1.4, before=9.0, after=1.5, floor=2.0), ("named", "")),
         # Livelier held-out motions: a small share of a large gap is forgiven, a large one not.
         (replace(CLEAR, after=2.0, closed=DEFAULT.nearly_all * ABOVE), ("named", "")),
         (replace(CLEAR, after=2.0, closed=DEFAULT.nearly_all * BELOW), ("unknown", "residual")),

@@ -14,7 +14,7 @@ from bayesid.diagnosis.description.candidates import CandidateTerm, candidates
 from bayesid.diagnosis.description.choose import Chosen, choose
 from bayesid.diagnosis.description.columns import halves, parts_of, ranges_of
 from bayesid.diagnosis.description.shapes import Kind, Shape, unit_of_variable
-from bayesid.diagnosis.fit import Fit, fit, squared_distance
+from bayesid.diagnosis.fit import Fit, differs_from_zero, fit, squared_distance
 from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.validation import Gap, validate
 from bayesid.effects import Effect, Term
@@ -122,6 +122,14 @@ class Description:
     fit: Fit  # that model with the draft
     gap: Gap | None  # on motions that were never fitted, without and with the draft; None where there are none
     candidates: int  # how many were tried
+
+    @property
+    def stands_alone(self) -> bool:
+        """Whether it closes nearly all of what effects that were found leave, and beside it none of these differs from zero."""
+        data = self.fit.projector.data
+        closes = self.gap is not None and self.gap.closed > data.settings.nearly_all
+        found = range(len(data.terms), len(self.start.terms))
+        return closes and not any(differs_from_zero(self.fit, k, _dispersion(self.fit)) for k in found)
 
 
 def describe(base: Fit, starts: Sequence[Fit], library: Library | None, seed: int = 0) -> Description | None:
