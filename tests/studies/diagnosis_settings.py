@@ -6,9 +6,9 @@
 Recordings come from the independent plant of case_studies/blind_naming, made in DIR. What came of a recording is kept in
 results.json beside the page as soon as all its diagnoses are made, and none is made twice, also not in another DIR on another
 day: a few minutes a recording and core. The page tells of the recordings that are finished. Results of other thresholds, or of
-others' values, are thrown away. A threshold changes a diagnosis only where a comparison comes out differently; where none does,
-that one is not made again (`Compared`). What limits computing and is no threshold (`LIMITS`) is moved likewise once the
-thresholds are done.
+others' values, are thrown away. A threshold changes a diagnosis only from where a comparison comes out differently (`Compared`):
+there a copy of the process goes on with it moved (POSIX). What limits computing and is no threshold (`LIMITS`) is moved likewise
+once the thresholds are done.
 ``--quick`` takes two recordings and four thresholds, to see that the script works. That and ``--only`` write to DIR/docs, all
 else to docs/studies/diagnosis-settings, unless ``--docs`` says another folder.
 """
@@ -20,13 +20,15 @@ import concurrent.futures
 import contextlib
 import json
 import multiprocessing
+import os
 import sys
+import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "case_studies" / "blind_naming"))
 
@@ -36,6 +38,7 @@ from tqdm import tqdm
 
 import bayesid
 from bayesid.diagnosis.settings import DEFAULT, Settings
+from bayesid.regression import parallel
 from tests.studies.page import STUDIES, write_page
 
 MOVED = 0.3
@@ -128,12 +131,49 @@ def is_right(answer: dict[str, Any], said: dict[str, Any]) -> bool:
     return not left
 
 
+class Branches:
+    """A process for every threshold and way, from where it first matters in a diagnosis; all share what came before."""
+
+    def __init__(self) -> None:
+        self.taken: tuple[str, int] | None = None  # what is moved in this process
+        self.names: Sequence[str] = ()  # thresholds that may be
+        self.started: set[tuple[str, int]] = set()
+        self.folder = Path()
+
+    def begin(self, names: Sequence[str], folder: Path) -> None:
+        """Before a diagnosis; what comes of its branches is written to a folder."""
+        self.taken, self.names, self.folder = None, names, folder
+        self.started.clear()
+
+    def at(self, name: str, way: int) -> None:
+        """Here a threshold matters that is moved that way; the process that does not move it waits for the one that does."""
+        if self.taken or name not in self.names or (name, way) in self.started:
+            return
+        self.started.add((name, way))
+        if child := os.fork():
+            _, status = os.waitpid(child, 0)
+            if status:
+                raise RuntimeError(f"{name} {way:+d} failed")
+        else:
+            self.taken = name, way
+
+    def end(self, said: dict[str, Any]) -> None:
+        """What a branch says; its process ends with it."""
+        if self.taken:
+            name, way = self.taken
+            (self.folder / f"{name} {way:+d}").write_text(json.dumps(said), encoding="utf-8")
+            os._exit(0)
+
+
+branches = Branches()
+
+
 @dataclass(frozen=True, eq=False)
 class Compared:
     """A threshold, or what follows from it, with what it would be if the threshold were moved; notes where that matters.
 
     Comparisons that come out alike change nothing. Where one does not, or where the number is used in any other way than in sums,
-    products and comparisons, the threshold moved that way has to be tried.
+    products and comparisons, the threshold moved that way is tried (`Branches`).
 
     Attributes
     ----------
@@ -148,9 +188,13 @@ class Compared:
     name: str
     value: Any
     moved: dict[int, Any]
-    #: Thresholds and ways that have to be tried.
-    open: ClassVar[set[tuple[str, int]]] = set()
     __array_ufunc__ = None  # arrays leave operators to this class
+
+    @property
+    def here(self) -> Any:
+        """As it is in this process."""
+        name, way = branches.taken or ("", 0)
+        return self.moved[way] if name == self.name else self.value
 
     def _with(self, operation: Callable[[Any], Any]) -> Compared:
         return Compared(self.name, operation(self.value), {way: operation(x) for way, x in self.moved.items()})
@@ -158,14 +202,15 @@ class Compared:
     def _asked(self, comparison: Callable[[Any], Any]) -> Any:
         said = comparison(self.value)
         self._note(way for way, x in self.moved.items() if np.any(comparison(x) != said))
-        return said
+        return comparison(self.here)
 
     def _note(self, ways: Iterable[int]) -> None:
-        Compared.open.update((self.name, way) for way in ways)
+        for way in ways:
+            branches.at(self.name, way)
 
     def _left(self) -> Any:
         self._note(self.moved)
-        return self.value
+        return self.here
 
     def __add__(self, other: Any) -> Compared:
         return self._with(lambda x: x + other)
@@ -213,7 +258,7 @@ class Compared:
         return self._asked(round)
 
     def __format__(self, form: str) -> str:
-        return format(self.value, form)
+        return format(self.here, form)
 
     __radd__, __rmul__ = __add__, __mul__
 
@@ -230,33 +275,23 @@ class Watched(Settings):
         return own if name in COMPARED else own._left()
 
 
-def diagnosed(folder: Path, channel: str, name: str | None, way: int) -> dict[str, Any]:
-    """Verdict and effects with their rivals; a refusal as verdict ``refused``. With no threshold moved: which are to be tried."""
+def diagnosed(folder: Path, channel: str, settings: Settings = DEFAULT) -> dict[str, Any]:
+    """Verdict and effects with their rivals; a refusal as verdict ``refused``."""
     warnings.simplefilter("ignore")
     verb = import_module("bayesid.workflows.diagnose")
     # What comes after the verdict changes no name.
     quick = {n: lambda result, *_: result for n in ("_with_errors", "_with_next_motion", "_with_description")}
     for later, instead in (quick | {"_places": lambda *_: ()}).items():
         setattr(verb, later, instead)
-    settings, held = DEFAULT, contextlib.nullcontext()
-    if name is None:
-        settings = Watched()
-    elif name in LIMITS:
-        held = limited(name, way)
-    else:
-        settings = replace(DEFAULT, **{name: moved(getattr(DEFAULT, name), way)})
-    Compared.open.clear()
+    parallel._MOST = 1  # a process that branches has one thread
     try:
-        with held:
-            result = bayesid.diagnose(folder, channel, settings=settings, progress=None)
-        open_ = sorted(f"{own} {side:+d}" for own, side in Compared.open)  # what is written beside names is none of it
-        said = result.to_dict()
+        said = bayesid.diagnose(folder, channel, settings=settings, progress=None).to_dict()
         effects = [{key: e[key] for key in ("name", "where", "ambiguous_with")} for e in said["effects"]]
         out: dict[str, Any] = {"verdict": said["verdict"], "effects": effects}
     except bayesid.BayesidError as error:
-        open_ = sorted(f"{own} {side:+d}" for own, side in Compared.open)
         out = {"verdict": "refused", "effects": [], "error": str(error)}
-    return out if name else out | {"open": open_}
+    branches.end(out)
+    return out
 
 
 def answers(work: Path, count: int, seed: int, quick: bool) -> list[dict[str, Any]]:
@@ -330,14 +365,17 @@ def main(arguments: list[str] | None = None) -> None:
 
 def of_recording(folder: Path, case: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
     """Whether its diagnosis is right, and for each number and way that change what is named whether that is right then."""
-    plain = diagnosed(folder / case["case"], case["channel"], None, 0)
-    changed = {}
-    for name in names:
+    recording, channel = folder / case["case"], case["channel"]
+    with tempfile.TemporaryDirectory() as kept:
+        branches.begin(names, Path(kept))
+        plain = diagnosed(recording, channel, Watched())
+        moved_ = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in Path(kept).iterdir()}
+    branches.begin((), Path())
+    for name in set(names) & set(LIMITS):
         for way in (-1, 1):
-            if name in LIMITS or f"{name} {way:+d}" in plain["open"]:
-                said = diagnosed(folder / case["case"], case["channel"], name, way)
-                if named(said) != named(plain):
-                    changed[f"{name} {way:+d}"] = is_right(case, said)
+            with limited(name, way):
+                moved_[f"{name} {way:+d}"] = diagnosed(recording, channel)
+    changed = {own: is_right(case, said) for own, said in moved_.items() if named(said) != named(plain)}
     return {"right": is_right(case, plain), "changed": changed}
 
 
