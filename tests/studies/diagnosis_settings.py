@@ -23,6 +23,7 @@ import multiprocessing
 import os
 import sys
 import tempfile
+import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
@@ -164,8 +165,17 @@ class Branches:
             (self.folder / f"{name} {way:+d}").write_text(json.dumps(said), encoding="utf-8")
             os._exit(0)
 
+    def failed(self) -> None:
+        """A branch that fails ends with its process, which the one that waits for it says."""
+        if self.taken:
+            traceback.print_exc()
+            os._exit(1)
+
 
 branches = Branches()
+
+
+_COMPARISONS = (np.less, np.less_equal, np.greater, np.greater_equal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +198,6 @@ class Compared:
     name: str
     value: Any
     moved: dict[int, Any]
-    __array_ufunc__ = None  # arrays leave operators to this class
 
     @property
     def here(self) -> Any:
@@ -211,6 +220,14 @@ class Compared:
     def _left(self) -> Any:
         self._note(self.moved)
         return self.here
+
+    def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        """A function of numpy's."""
+
+        def operation(own: Any) -> Any:
+            return getattr(function, method)(*(own if x is self else x for x in inputs), **options)
+
+        return (self._asked if function in _COMPARISONS else self._with)(operation)
 
     def __add__(self, other: Any) -> Compared:
         return self._with(lambda x: x + other)
@@ -272,7 +289,7 @@ class Watched(Settings):
         if name not in Settings.__dataclass_fields__ or isinstance(value, Compared):
             return value
         own = Compared(name, value, {way: moved(value, way) for way in (-1, 1)})
-        return own if name in COMPARED else own._left()
+        return own.here if branches.taken else own if name in COMPARED else own._left()
 
 
 def diagnosed(folder: Path, channel: str, settings: Settings = DEFAULT) -> dict[str, Any]:
@@ -290,6 +307,9 @@ def diagnosed(folder: Path, channel: str, settings: Settings = DEFAULT) -> dict[
         out: dict[str, Any] = {"verdict": said["verdict"], "effects": effects}
     except bayesid.BayesidError as error:
         out = {"verdict": "refused", "effects": [], "error": str(error)}
+    except BaseException:
+        branches.failed()
+        raise
     branches.end(out)
     return out
 
