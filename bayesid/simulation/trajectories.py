@@ -228,7 +228,7 @@ def read_trajectory(
     table, _ = read_table(path, path.name, robot.n, wrench=False)
     if len(table) < _FEWEST:
         raise InputError(f"{path.name}: {len(table)} rows are no motion; give at least {_FEWEST}")
-    rates = [table.velocities, _accelerations(path, robot.n)]
+    rates = [table.velocities, _accelerations(path, robot.n, table.dropped)]
     if any(part is None for part in rates):
         curve = make_interp_spline(table.times, table.positions, k=7)
         rates = [curve(table.times, k + 1) if part is None else part for k, part in enumerate(rates)]
@@ -257,8 +257,11 @@ def planned_trajectories(robot: Robot, paths: Sequence[str | Path], static: bool
     return out
 
 
-def _accelerations(path: Path, joints: int) -> np.ndarray | None:
-    """Columns ``a1 ... an`` (N, n) of a table whose other columns were read; None where they are not all there."""
+def _accelerations(path: Path, joints: int, dropped: np.ndarray) -> np.ndarray | None:
+    """Columns ``a1 ... an`` (N, n) of a table whose other columns were read; None where they are not all there.
+
+    ``dropped`` are the rows that were left out of the others.
+    """
     if path.suffix.lower() != ".csv":
         return None
     import pandas as pd
@@ -268,7 +271,7 @@ def _accelerations(path: Path, joints: int) -> np.ndarray | None:
     if not set(names) <= set(frame.columns):
         return None
     try:
-        values = frame[names].to_numpy(np.float64)
+        values = np.delete(frame[names].to_numpy(np.float64), dropped, axis=0)
     except ValueError:
         raise InputError(f"{path.name}: columns a1 ... a{joints} hold more than numbers; correct or remove them") from None
     if not np.isfinite(values).all():

@@ -233,6 +233,20 @@ def test_poses_and_separate_static_poses(setup):
     assert again[0].kind == "poses" and len(again[1].static_positions) == 8
 
 
+def test_rows_that_a_planned_motion_loses_are_lost_with_their_accelerations(setup, tmp_path):
+    """A row twice, and one without a position: accelerations stay with the rows that they are of."""
+    motion = bayesid.fourier_trajectory(setup.robot, duration=2.0, rate=50.0, fundamental=0.5)
+    bayesid.write_trajectory(motion, tmp_path / "move.csv")
+    header, *rows = (tmp_path / "move.csv").read_text(encoding="utf-8").splitlines()
+    emptied = rows[20].split(",")
+    emptied[1] = ""
+    damaged = [header, *rows[:10], rows[9], *rows[10:20], ",".join(emptied), *rows[21:]]
+    (tmp_path / "move.csv").write_text("\n".join(damaged), encoding="utf-8")
+    back = bayesid.read_trajectory(tmp_path / "move.csv", setup.robot)
+    for name in ("times", "positions", "velocities", "accelerations"):
+        np.testing.assert_allclose(getattr(back, name), np.delete(getattr(motion, name), 20, axis=0), atol=1e-6)
+
+
 def test_simulate_verb(folder, tmp_path, capsys):
     out = tmp_path / "again"
     arguments = ["simulate", str(folder), "--out", str(out), "--seed", "3"]
