@@ -5,7 +5,7 @@ Noise is as given, as a data sheet says, as recordings show, or assumed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,6 +69,7 @@ class ReadingNoise:
     torque: Mapping[str, NoiseModel]
     #: Where each comes from, by ``wrench`` and ``torque``: ``given``, ``data sheet``, ``readings`` or ``assumed``.
     sources: Mapping[str, str]
+    given: frozenset[str] = frozenset()  # names of the channels whose noise is given
 
     def of(self, sensor_set: SensorSet) -> dict[str, NoiseModel]:
         """Noise of the rows of a sensor set: the difference of two readings where a static run is subtracted."""
@@ -77,11 +78,14 @@ class ReadingNoise:
         return {group: _stacked([_group(p, group) for p in parts], readings) for group in ("trajectory", "poses")}
 
 
-def white_noise(robot: Robot, sensor: Sensor | None = None, given: Mapping[str, float] | None = None) -> ReadingNoise:
+def white_noise(
+    robot: Robot, sensor: Sensor | None = None, given: Mapping[str, float] | None = None, joints: Sequence[int] | None = None
+) -> ReadingNoise:
     """White noise of one sample of every channel: as given, else of the sensor's data sheet, else an assumed one.
 
     ``given`` are standard deviations by ``force`` [N], ``moment`` [N m], ``torque`` [N m or N] for a kind, or by the channel's
-    name, ``fx`` ... ``mz``, ``tau1`` .... An `InputError` where a name is no channel's, or a number is not above zero.
+    name, ``fx`` ... ``mz``, ``tau1`` ...; ``joints`` are those whose torques are read, default all. An `InputError` where a name
+    is no channel's, or a number is not above zero.
     """
     given = dict(given or {})
     drives = tuple(f"tau{k + 1}" for k in range(robot.n))
@@ -94,13 +98,15 @@ def white_noise(robot: Robot, sensor: Sensor | None = None, given: Mapping[str, 
     sheet = (None, None) if sensor is None else (sensor.force_std, sensor.torque_std)
     forces = sheet[0] or ASSUMED_FORCE, sheet[1] or ASSUMED_MOMENT
     wrench = [given.get(n, given.get(_KINDS[k // 3], forces[k // 3])) for k, n in enumerate(WRENCH_NAMES)]
-    torque = [given.get(n, given.get("torque", float(e))) for n, e in zip(drives, effort, strict=True)]
-    stated = all(any(k in given for k in (n, _KINDS[i // 3])) for i, n in enumerate(WRENCH_NAMES))
+    read = range(robot.n) if joints is None else joints
+    torque = [given.get(drives[k], given.get("torque", float(effort[k]))) for k in read]
+    kinds = dict(zip((*WRENCH_NAMES, *drives), (*(_KINDS[k // 3] for k in range(6)), *("torque",) * robot.n), strict=True))
+    known = frozenset(n for n, kind in kinds.items() if n in given or kind in given)
     sources = {
-        "wrench": "given" if stated else "data sheet" if all(sheet) else "assumed",
-        "torque": "given" if "torque" in given or all(n in given for n in drives) else "assumed",
+        "wrench": "given" if known.issuperset(WRENCH_NAMES) else "data sheet" if all(sheet) else "assumed",
+        "torque": "given" if known.issuperset(drives[k] for k in read) else "assumed",
     }
-    return ReadingNoise(_white(wrench), _white(torque), sources)
+    return ReadingNoise(_white(wrench), _white(torque), sources, known)
 
 
 def recorded_noise(
@@ -125,14 +131,23 @@ def recorded_noise(
             continue
         weights = learn_weights(problem.regression)
         readings = 2.0 if problem.static == "motion" else 1.0
-        models[kind] = {g: m.scaled(1.0 / (readings if g == "trajectory" else 1.0)) for g, m in weights.dispersed().items()}
+        learned = {g: m.scaled(1.0 / (readings if g == "trajectory" else 1.0)) for g, m in weights.dispersed().items()}
+        given = np.array([n in otherwise.given for n in problem.row_model.channels.names])
+        models[kind] = {g: _with_given(m, _group(models[kind], g), given) for g, m in learned.items()}
         sources[kind] = "readings"
-    return ReadingNoise(models["wrench"], models["torque"], sources), problems
+    return replace(otherwise, wrench=models["wrench"], torque=models["torque"], sources=sources), problems
 
 
 def _white(std) -> dict[str, NoiseModel]:
     model = NoiseModel.stated(np.asarray(std, float))
     return {"trajectory": model, "poses": model}
+
+
+def _with_given(model: NoiseModel, white: NoiseModel, given: np.ndarray) -> NoiseModel:
+    """The noise with some channels (c,) as white as given."""
+    coefficients = np.where(given[:, None], np.eye(1, model.order + 1), model.coefficients)
+    innovation = np.where(given[:, None] | given, white.innovation, model.innovation)
+    return replace(model, coefficients=coefficients, innovation=innovation)
 
 
 def _group(models: Mapping[str, NoiseModel], group: str) -> NoiseModel:

@@ -149,7 +149,7 @@ def as_setup(given: Experiment | Robot | str | Path) -> Experiment:
 
 def _result(plan: Plan, clock: Clock) -> Excitation:
     experiment, information = plan.experiment, plan.task.information
-    noise = white_noise(experiment.robot, experiment.sensor)
+    noise = white_noise(experiment.robot, experiment.sensor, joints=experiment.torque_joints)
     found = shown(expect(experiment, information.sensor_set, noise, [plan.trajectory]))
     blocks, left_out = scripted_blocks(plan, plan.options.blocks)
     return Excitation(

@@ -162,7 +162,7 @@ def _of_motions(
     bandwidth: float | None, tell: Sequence[str] | None, clock: Clock,
 ) -> Identifiability:  # fmt: skip
     sensor, robot = experiment.sensor, experiment.robot
-    noise = white_noise(robot, sensor, given)
+    noise = white_noise(robot, sensor, given, experiment.torque_joints)
     warnings = list(experiment.warnings)
     clock("noise")
     sheet = noise

@@ -118,3 +118,16 @@ def test_noise_that_cannot_be_is_refused(tmp_path):
     np.testing.assert_allclose(sheet.wrench["trajectory"].std, [0.3] * 3 + [0.02] * 3)
     np.testing.assert_allclose(sheet.torque["poses"].std, [0.75] * 3 + [0.14] * 3)  # 0.5 % of the effort limits
     assert sheet.of(SENSOR_SETS["both"])["trajectory"].std.shape == (12,)
+
+
+def test_noise_that_is_given_of_some_channels_stands_and_the_others_learn_it_from_the_readings(tmp_path):
+    bare, motion, _ = planned("puma", tmp_path)
+    exact = readings(bare.robot, ARMS["puma"].locked, motion.positions, motion.velocities, motion.accelerations)[:, :6]
+    made = recorded(bare, motion, exact + STD * np.random.default_rng(3).normal(size=exact.shape))
+    learned = recorded_noise(made, white_noise(bare.robot))[0].wrench["trajectory"]
+    noise = recorded_noise(made, white_noise(bare.robot, given={"force": 5.0, "my": 2.0}))[0]
+    assert noise.sources["wrench"] == "readings"
+    own = noise.wrench["trajectory"]
+    np.testing.assert_allclose(own.std, [5.0, 5.0, 5.0, learned.std[3], 2.0, learned.std[5]])
+    np.testing.assert_allclose(own.innovation[3, [3, 5]], learned.innovation[3, [3, 5]])
+    np.testing.assert_array_equal(own.innovation[0, 1:], np.zeros(5))

@@ -253,3 +253,15 @@ def test_a_regression_with_a_robot_behind_it(tmp_path):
     assert {p.name: p.kind for p in found.main.parameters}["joint1.Iyy"] == "effect"  # joint 1 turns about y here
     assert str(found).splitlines()[1].strip().startswith("These rows determine 7 combinations")
     assert bayesid.identifiability(setup)["torque"].rank == 7
+
+
+def test_torques_of_some_joints_are_planned_for_by_their_own_noise(tmp_path):
+    robot = puma2(tmp_path)
+    table = recording(robot, None, fourier(robot, 5), torque_std=0.05, seed=2)
+    table = replace(table, torques=np.where([True, False], np.nan, table.torques))
+    setup = experiment(robot, [bayesid.Motion("one", "identification", table)])
+    assert setup.torque_joints == (1,)
+    found = bayesid.identifiability(setup, sensor_sets="torque", noise={"tau2": 1.5})
+    assert found.main.noise_std == {"tau2": 1.5} and found.main.noise == {"torque": "given"}
+    plan = bayesid.excite(setup, channel="torque", starts=1, randoms=2, seconds=0.1, duration=5.0)
+    assert len(plan.std) == plan.possible

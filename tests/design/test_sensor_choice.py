@@ -14,6 +14,7 @@ from bayesid.design.accuracy.fits import fit_twin
 from bayesid.design.accuracy.sensor_choice import CandidateSensor, Outlook, choose_sensor, read_sensors
 from bayesid.effects import Term
 from bayesid.errors import InputError
+from bayesid.recordings.experiment import Motion
 from bayesid.regression.rows import make_blocks
 from bayesid.simulation.simulation import plant_readings
 from tests.design.test_accuracy import bench
@@ -141,3 +142,16 @@ def test_the_list_in_the_documentation_can_be_read(tmp_path):
     (tmp_path / "sensors.toml").write_text(text, encoding="utf-8")
     found = read_sensors(tmp_path / "sensors.toml", bench("puma").experiment.robot)
     assert [c.kind for c in found] == ["base", "plate", "wrist", "torque"]
+
+
+def test_torque_sensors_are_compared_where_the_torques_of_some_joints_were_recorded(tmp_path):
+    def partly(motion: Motion) -> Motion:
+        torques = np.where(np.arange(6) == 0, np.nan, motion.table.torques)
+        return replace(motion, table=replace(motion.table, torques=torques))
+
+    text = '[[sensor]]\nname = "t"\nkind = "torque"\nnoise = [0.2]\n'
+    own = bench("ur5")
+    some = replace(own, experiment=replace(own.experiment, motions=tuple(map(partly, own.experiment.motions))))
+    assert some.experiment.torque_joints == (1, 2, 3, 4, 5)
+    (found,) = choose_sensor(some, listed(tmp_path, text)).outlooks
+    np.testing.assert_allclose(found.determined.std, outlooks(tmp_path, text)[0].determined.std)

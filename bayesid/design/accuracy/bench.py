@@ -23,7 +23,7 @@ from bayesid.errors import InputError
 from bayesid.estimators import Estimate, Estimator
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment
-from bayesid.recordings.table import Table
+from bayesid.recordings.table import Table, of_every_joint
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, absorbed_offset, prepare
 from bayesid.regression.row_model import RowModel
@@ -327,12 +327,13 @@ def _read(bench: Bench, setting: Setting, exact: Table, own: RecordedMotion, rng
         value = columns[name] + noise[:, k]
         read[name] = np.round(value / size[k]) * size[k] if size[k] > 0 else value
     wrench = [read[n] for n in names if not n.startswith("tau")]
-    torques = [read[n] for n in names if n.startswith("tau")]
+    drives = [n for n in names if n.startswith("tau")]
+    torques = [read[n] for n in drives]
     given = own.motion.table
     commanded = None
     if given.commanded is not None and len(exact) > 1:
         commanded = np.stack([np.interp(exact.times, given.times, column) for column in given.commanded.T], axis=1)
     return Table(
-        exact.times, q, None, commanded, np.stack(torques, axis=1) if torques else None,
+        exact.times, q, None, commanded, of_every_joint(np.stack(torques, axis=1), drives, q.shape[1]) if torques else None,
         np.stack(wrench, axis=1) if wrench else None, source=exact.source,
     )  # fmt: skip

@@ -264,7 +264,7 @@ def choose_sensor(
 
 def _equipped(bench: Bench, candidate: CandidateSensor) -> tuple[Experiment, np.ndarray]:
     """The experiment with the candidate in place, and its true links (b, 10)."""
-    own, robot = bench.experiment, bench.experiment.robot
+    own, robot = replace(bench.experiment, motions=()), bench.experiment.robot  # whatever torques were recorded: all are read
     if candidate.kind == "torque":
         return own, bench.links
     rpy = pin.rpy.matrixToRpy(candidate.rotation)

@@ -89,7 +89,7 @@ def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0)
     robot, notes = experiment.robot, []
     moving = _moving(experiment, options)
     sensor_set = sensor_set_of(experiment, options)
-    noise = white_noise(robot, experiment.sensor)
+    noise = white_noise(robot, experiment.sensor, joints=experiment.torque_joints)
     kinds = ("wrench", "torque") if sensor_set.channel == "both" else (sensor_set.channel,)
     notes += [f"The noise of the {k} is assumed, as experiment.toml states none." for k in kinds if noise.sources[k] == "assumed"]
     lower, upper, fastest = motion_limits(robot)
