@@ -17,6 +17,7 @@ from bayesid.effects.effect import Term
 from bayesid.effects.families import JointMotion, TransmissionEffect
 from bayesid.effects.flexible import Motion
 from bayesid.effects.segment import MotionSegment
+from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
 
 
@@ -40,11 +41,19 @@ class TorqueChain:
     gain: np.ndarray  # 1 + gain of each channel (c,)
 
     def at_motors(self, true: np.ndarray) -> np.ndarray:
-        """True wrench and joint torques, or changes of them (N, c, ...), with what the motors give for the torques instead."""
+        """True wrench and joint torques, or changes of them (N, c, ...), with what the motors give for the torques instead.
+
+        An `InputError` where a motor gives a part of a torque that no channel reads.
+        """
         if self.transmission is None or not self.joints:
             return true
-        out, order = np.array(true), [self.joints[j] for j in range(len(self.transmission))]
-        out[:, order] = np.einsum("kj,nk...->nj...", self.transmission, true[:, order])
+        read = [j for j in range(len(self.transmission)) if j in self.joints]
+        taken = np.flatnonzero(np.any(self.transmission[:, read] != 0.0, axis=1)).tolist()
+        if not self.joints.keys() >= {*taken}:
+            lacking = ", ".join(f"tau{k + 1}" for k in taken if k not in self.joints)
+            raise InputError(f"coupled transmissions take {lacking} into other torques; record it, or leave that coupling out")
+        out, order = np.array(true), [self.joints[j] for j in read]
+        out[:, order] = np.einsum("kj,nk...->nj...", self.transmission[np.ix_(read, read)], true[:, order])
         return out
 
     def late(self, segment: MotionSegment, values: np.ndarray, column: Mapping | None = None) -> np.ndarray:

@@ -17,7 +17,7 @@ from bayesid.design.accuracy.sweeps import sweep
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.effects import Term
 from bayesid.estimators import estimator
-from bayesid.recordings.experiment import Experiment, Sensor
+from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.readings import make_channels
@@ -207,3 +207,18 @@ def test_a_static_run_takes_offsets_and_tilts_away():
     found = {s.effect.spec: s.largest for s in susceptibility(bench("puma"), bench("puma").estimate.std)}
     assert found["sensor_offset@sensor"] < 1e-9 and found["base_tilt@base"] < 1e-9
     assert found["sensor_delay@sensor"] > 5.0
+
+
+def test_torques_of_some_joints_are_varied_as_they_were_recorded(tmp_path):
+    setup = recorded(puma2(tmp_path), static=False)
+
+    def partly(motion: Motion) -> Motion:
+        return replace(motion, table=replace(motion.table, torques=np.where([True, False], np.nan, motion.table.torques)))
+
+    some = make_bench(replace(setup, motions=tuple(map(partly, setup.motions))), estimator("ols"), FitOptions(channel="torque"))
+    made = twin(some, own_setting(some), 1)
+    assert made.torque_joints == (1,)
+    problem, estimate = fit_twin(some, own_setting(some), made)
+    assert problem.row_model.channels.names == ("tau2",)
+    np.testing.assert_allclose(estimate.values, some.estimate.values, atol=6.0 * some.estimate.std.max())
+    assert "coupled_transmission@joint1->joint2" in {s.effect.spec for s in susceptibility(some, some.estimate.std)}

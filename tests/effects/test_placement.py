@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+import pytest
 from scipy.spatial.transform import Rotation
 
+from bayesid.dynamics.channels import torque_channels
 from bayesid.effects import Model, MotionSegment, readings
 from bayesid.effects.surroundings import surroundings_of
+from bayesid.errors import InputError
 from tests.effects.arms import at_base, moving, oracle, term
 
 
@@ -138,3 +141,14 @@ def test_a_flexible_joint_holds_up_to_where_its_link_swings_on_a_held_motor(pand
     np.testing.assert_allclose(effect.holds_below((2e-4,), around), np.sqrt(1.0 / (2e-4 * inertia)) / (2.0 * np.pi), rtol=1e-6)
     assert np.isinf(effect.holds_below((0.0,), around))
     assert np.isinf(term(panda, "base_tilt", 0.05, -0.08).effect.holds_below((0.05, -0.08), around))
+
+
+def test_a_coupled_transmission_needs_the_torques_that_its_motors_share(panda):
+    q, v, a = np.random.default_rng(4).normal(size=(3, 5, panda.n))
+    segment = MotionSegment(np.arange(5) / 100.0, q, v, a)
+    coupled, every = term(panda, "coupled_transmission@joint4->joint6", 0.8), torque_channels(panda)
+    whole = readings(panda, every, segment, panda.nominal, (coupled,))
+    some = readings(panda, every.only([1, 4, 5]), segment, panda.nominal, (coupled,))
+    np.testing.assert_allclose(some, whole[:, [1, 4, 5]])
+    with pytest.raises(InputError, match="take tau6 into other torques"):
+        readings(panda, every.only([1, 3]), segment, panda.nominal, (coupled,))
