@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from bayesid.design.accuracy.bench import Bench, Setting, make_bench, missing_effects, own_setting, twin
-from bayesid.design.accuracy.fits import Learned, combinations, differenced, errors_of, fit_twin, learn, run_twin
+from bayesid.design.accuracy.fits import Errors, Learned, combinations, differenced, errors_of, fit_twin, learn, run_twin
 from bayesid.design.accuracy.susceptibility import susceptibility
-from bayesid.design.accuracy.sweeps import sweep
+from bayesid.design.accuracy.sweeps import Trial, _by_formula, _level, sweep
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.effects import Term
 from bayesid.estimators import estimator
@@ -183,6 +183,17 @@ SMALL = [
     ("ur5", "sensor_rotation@sensor"), ("ur5", "sensor_translation@sensor"), ("ur5", "base_tilt@base"), ("ur5", "tether@joint3"),
     ("ur5", "encoder_offset@joint2"), ("ur5", "joint_flexibility@joint2"),
 ]  # fmt: skip
+
+
+def test_repeats_leave_the_bias_in_predictions_too_whatever_the_estimator():
+    """Errors of a fit that is off by 3 and scatters by 1, predicted by themselves: a hundred repeats leave the 3."""
+    scatter = np.random.default_rng(0).normal(size=(1000, 1))
+    columns = 3.0 + (scatter - scatter.mean()) / scatter.std()
+    errors = Errors(columns, np.abs(columns[:, 0]), 1)
+    own = _level(Trial("own", 1.0, None), errors, errors)
+    level = _by_formula(Trial("repeated 100 times", 100.0, None, (1.0, 0.1)), own, None, 3.0)
+    assert level.prediction == pytest.approx(np.hypot(3.0, 0.1), rel=1e-3)
+    assert level.prediction_ratio == pytest.approx(level.ratio, rel=1e-3)
 
 
 @pytest.mark.parametrize(("name", "spec"), SMALL)

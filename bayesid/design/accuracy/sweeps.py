@@ -258,7 +258,8 @@ def sweep(bench: Bench, runs: int, seed: int, tell: Callable[[str], object]) -> 
         quiet = found[repr(settings[1])]
         assert not isinstance(quiet, str)  # the same recordings with less noise
         linear = linear_errors(bench, quiet, seed)
-    sweeps = tuple(_sweep(f, own_level, errors, found, linear) for f in factors)
+    biased = prediction_error(bench, errors.columns.mean(axis=0))
+    sweeps = tuple(_sweep(f, own_level, errors, found, linear, biased) for f in factors)
     return Sweeps(own_level, None if linear is None else linear.std(1.0, 1.0), sweeps, runs, seed)
 
 
@@ -345,11 +346,13 @@ def linear_errors(bench: Bench, quiet: Errors, seed: int) -> LinearErrors:
     return LinearErrors(bench, estimate.full_covariance, np.cov(columns.T), columns.mean(axis=0))
 
 
-def _sweep(factor: SweptFactor, own: Level, errors: Errors, found: dict[str, Errors | str], linear: LinearErrors | None) -> Sweep:
+def _sweep(
+    factor: SweptFactor, own: Level, errors: Errors, found: dict[str, Errors | str], linear: LinearErrors | None, biased: float
+) -> Sweep:
     levels = []
     for trial in factor.trials:
         if trial.setting is None:
-            levels.append(_by_formula(trial, own, linear))
+            levels.append(_by_formula(trial, own, linear, biased))
         else:
             result = found[repr(trial.setting)]
             levels.append(_refused(trial, own, result) if isinstance(result, str) else _level(trial, result, errors))
@@ -379,12 +382,13 @@ def _level(trial: Trial, errors: Errors, own: Errors) -> Level:
     )  # fmt: skip
 
 
-def _by_formula(trial: Trial, own: Level, linear: LinearErrors | None) -> Level:
-    """A level whose covariance follows from that of the user's own setting."""
+def _by_formula(trial: Trial, own: Level, linear: LinearErrors | None, biased: float) -> Level:
+    """A level whose covariance follows from that of the user's own setting; ``biased`` is its bias's error of predictions."""
     noise, every_std = trial.scale
-    if linear is None:  # repeats alone: the mean of independent errors, whatever the estimator
+    if linear is None:  # repeats alone: the mean of independent errors, whatever the estimator, with the bias of one
         bias, bias_error, std, std_error = own.bias, own.bias_error, every_std * own.std, every_std * own.std_error
-        share, share_error, over = every_std * own.prediction, every_std * own.prediction_error, every_std
+        share = float(np.hypot(biased, every_std * np.sqrt(max(own.prediction**2 - biased**2, 0.0))))
+        share_error, over = every_std * own.prediction_error, share / max(own.prediction, 1e-300)
         rms, usual = np.hypot(std, bias), own.rms
     else:
         bias, std, bias_error = linear.bias[: len(own.std)], linear.std(noise, every_std), np.zeros(len(own.std))
