@@ -11,6 +11,7 @@ from bayesid.arguments import argument, call
 from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison, Value
 from bayesid.diagnosis.changes.held_out import Place
 from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
+from bayesid.effects import stated_of
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters, write_model
@@ -70,7 +71,8 @@ class Changes(ShownResult):
         values: EffectParameters = {spec: dict(given) for spec, given in self.experiment.effect_values.items()}
         for term in c.terms:
             spec = term.effect.spec
-            fixed = spec not in known or values.get(spec, {}).get("fixed", False)
+            stated = stated_of(term.effect, self.experiment.effect_values, self.experiment.robot.joint_names)
+            fixed = spec not in known or stated.get("fixed", False)
             found: dict[str, float | bool] = dict(zip(term.effect.parameters, term.values, strict=True))
             values[spec] = {**found, "fixed": True} if fixed else found
         return tuple(t.effect.spec for t in c.terms), values

@@ -18,11 +18,12 @@ from bayesid.diagnosis.changes.hypotheses import Hypothesis, SharedAmplitudes
 from bayesid.diagnosis.changes.reference import learn_reference
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
 from bayesid.diagnosis.settings import DEFAULT
+from bayesid.effects import EffectLibrary, Term
 from bayesid.effects.friction import CoulombFriction
 from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
 from bayesid.report.changes import changes_report
-from bayesid.results.changes import next_experiment
+from bayesid.results.changes import Changes, next_experiment
 from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
 from tests.robots import puma560, wrist_sensor_arm, write
@@ -223,6 +224,21 @@ def test_nothing_is_named_where_friction_wanders_by_a_twentieth(arm):
     assert 0.01 < hidden["payload@joint6"] < 1.5
     assert 0.8 < hidden["coulomb_friction@joint2"] < 8.0
     assert "could hide" in str(found)
+
+
+def test_what_the_reference_keeps_stays_fixed_in_the_model_that_is_written(arm):
+    """Stated for all of a kind, or under a joint's own name."""
+    names = [f"axis {k}" for k in range(6)]
+    stated = {"coulomb_friction": {"level": 2.0, "fixed": True}, "viscous_friction@axis 1": {"coefficient": 3.0, "fixed": True}}
+    effects = EffectLibrary().parse(["coulomb_friction@joint1", "viscous_friction"], names, ["tau1", "tau2"])
+    made = SimpleNamespace(effect_values=stated, robot=replace(arm, joint_names=tuple(names)))
+    compared = SimpleNamespace(
+        terms=[Term(e, (4.0,)) for e in effects], reference=SimpleNamespace(effects=effects),
+        recording=SimpleNamespace(problem=SimpleNamespace(experiment=made)),
+    )  # fmt: skip
+    _, values = Changes(cast(ReferenceComparison, compared)).model
+    fixed = [spec for spec, given in values.items() if "@joint" in spec and given.get("fixed", False)]
+    assert fixed == ["coulomb_friction@joint1", "viscous_friction@joint2"]
 
 
 def test_what_to_record_next():
