@@ -15,6 +15,7 @@ from bayesid.cli import main
 from bayesid.diagnosis.changes.evidence import Marginal, Reduced, amplitudes, gain
 from bayesid.diagnosis.changes.findings import ReferenceComparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis, SharedAmplitudes
+from bayesid.diagnosis.changes.recording import read_recording
 from bayesid.diagnosis.changes.reference import learn_reference
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
 from bayesid.diagnosis.settings import DEFAULT
@@ -239,6 +240,17 @@ def test_what_the_reference_keeps_stays_fixed_in_the_model_that_is_written(arm):
     _, values = Changes(cast(ReferenceComparison, compared)).model
     fixed = [spec for spec, given in values.items() if "@joint" in spec and given.get("fixed", False)]
     assert fixed == ["coulomb_friction@joint1", "viscous_friction@joint2"]
+
+
+def test_gear_ratios_are_those_of_the_reference(tmp_path):
+    """They belong to its model; a later folder need not state them again."""
+    robot = puma2(tmp_path)
+    table = recording(robot, Sensor(), fourier(robot, 1, duration=4.0), torque_std=0.1, force_std=0.5)
+    after = experiment(robot, [Motion("run", "identification", table)], Sensor())
+    before = replace(after, effects=("rotor_momentum@joint1",), gear_ratio={"joint1": 60.0})
+    reference = learn_reference(before, "both")
+    assert next(e for e in reference.effects if e.name == "rotor_momentum").ratio == 60.0
+    assert read_recording(reference, after, None).problem.row_model.effects == reference.effects
 
 
 def test_what_to_record_next():

@@ -96,7 +96,7 @@ def _prepared(reference: Reference, experiment: Experiment, motions: Sequence[st
     check_same(before.experiment, experiment)
     known = replace(
         experiment, robot=reference.robot, effects=before.experiment.effects, effect_values=before.experiment.effect_values,
-        library=before.experiment.library,
+        library=before.experiment.library, gear_ratio=before.experiment.gear_ratio,
     )  # fmt: skip
     return prepare(known, FitOptions(before.channel, effects=before.effects, motions=motions, bandwidth=bandwidth))
 
