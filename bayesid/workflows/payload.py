@@ -170,6 +170,12 @@ def payload(
         found = _since(asked, before, joint)
     elif carried is not None:
         assert sensor is not None
+        at = int(experiment.robot.body_joint[carried])
+        if joint is not None and carrying_joint(experiment.robot, joint) != at:
+            raise InputError(
+                f"{argument('joint', joint)}: the sensor in '{sensor.joint}' weighs what {experiment.robot.joint_names[at]} "
+                "carries; leave it out"
+            )
         source, detail = "sensor", str(sensor.joint)
         found = _weighed(asked, carried)
     else:

@@ -349,6 +349,9 @@ def test_what_cannot_be_told_is_refused_in_one_line(tmp_path, wrist):
     carried = experiment(bayesid.load_robot(path, sensor_joint="wrist_ft"), [], Sensor("wrist_ft"))
     with pytest.raises(bayesid.InputError, match="carries 2 bodies that move against each other: keep grip still"):
         bayesid.payload(bayesid.simulate(carried, poses(carried.robot), seed=1))
+    for joint, said in (("wrist_4_joint", "no such joint; choose one of"), ("elbow_joint", "weighs what wrist_3_joint carries")):
+        with pytest.raises(bayesid.InputError, match=said):
+            bayesid.payload(bayesid.simulate(wrist, poses(wrist.robot), seed=1), joint=joint, diagnosis=False)
     with pytest.raises(bayesid.InputError, match="'abb' is no controller"):
         bayesid.payload(bayesid.simulate(wrist, poses(wrist.robot), seed=1), diagnosis=False).export("abb")
 
