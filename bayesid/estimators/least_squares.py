@@ -26,7 +26,7 @@ from bayesid.estimators.estimator import Details, Estimate, largest_autocorrelat
 from bayesid.estimators.factor import Factor, reduce_in_coordinates, reduce_whitened, whitened
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.blocks import residual_of
-from bayesid.regression.linalg import column_lengths, condition_number, solve, standard_deviations
+from bayesid.regression.linalg import UNSEEN, column_lengths, condition_number, solve, standard_deviations
 from bayesid.regression.regression import Regression
 
 _WEIGHTS = ("none", "channel", "noise")
@@ -179,7 +179,8 @@ def nominal_start(regression: Regression, p: int) -> np.ndarray:
 
 def solved(regression: Regression, factor: Factor) -> np.ndarray:
     """Least squares of weighted rows (p,), by way of the nominal parameters."""
-    return solve(factor.matrix, target_from_nominal(regression, factor)) + nominal_start(regression, factor.matrix.shape[1])
+    step = solve(factor.matrix, target_from_nominal(regression, factor), UNSEEN)
+    return step + nominal_start(regression, factor.matrix.shape[1])
 
 
 def target_from_nominal(regression: Regression, factor: Factor) -> np.ndarray:

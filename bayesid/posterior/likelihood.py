@@ -199,6 +199,7 @@ def _adjusted(factor: Factor, middle: np.ndarray | None, *, shrink: bool) -> tup
     if middle is None:
         return out, np.column_stack([plain, rotated])
     wanted, target = compressed(factor.matrix, factor.target, middle)
+    plain, rotated = plain[: len(wanted)], rotated[: len(wanted)]  # weaker directions are hidden by rounding in the second
     back = pseudo_inverse(plain)
     fit = back @ rotated
     out[:-1, :-1] += back @ (wanted - plain)  # C

@@ -206,6 +206,23 @@ def test_a_joint_that_never_moves_stays_nominal_and_contradicts_nothing(tmp_path
         assert np.abs(bayesid.identify(arm, "torque", method).values).max() < 2.0 * np.abs(nominal).max()
 
 
+def test_a_joint_that_trembles_by_next_to_nothing_leaves_values_nominal(tmp_path):
+    """As one does that a simulator holds: directions that rounding hides stay where the fit began, and none breaks it."""
+    robot, motions = puma2(tmp_path), []
+    rate, small = 8.0, 1e-10
+    for k in range(2):
+        t, q, v, a = fourier(robot, k)
+        q[:, 1], v[:, 1] = 0.4 + small * np.sin(rate * t + k), small * rate * np.cos(rate * t + k)
+        a[:, 1] = -small * rate**2 * np.sin(rate * t + k)
+        table = recording(robot, Sensor(), (t, q, v, a), phi=1.3 * robot.nominal.ravel(), seed=k, force_std=0.5, torque_std=0.05)
+        motions.append(Motion(f"m{k}", "validation" if k else "identification", table))
+    arm = experiment(robot, motions, Sensor())
+    for method in ("wls", "huber", "sdp"):
+        found = bayesid.identify(arm, "wrench", method)
+        unsure = found.estimate.undetermined[: found.base.rank]
+        assert unsure.sum() > 5 and np.abs(found.values[unsure]).max() < 10.0
+
+
 def test_static_run_is_reported_both_ways(tmp_path):
     robot = puma2(tmp_path)
     sensor, motion = Sensor(), fourier(robot, 1)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cholesky, null_space, solve_triangular
+from scipy.linalg import cholesky, get_lapack_funcs, null_space, solve_triangular
 from scipy.optimize import brentq, fminbound
 
 from bayesid.errors import InputError
@@ -27,6 +27,8 @@ from bayesid.regression.linalg import column_lengths, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
+
+(_FACTORISE,) = get_lapack_funcs(("potrf",), dtype="d")
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,9 @@ def compressed(matrix: np.ndarray, target: np.ndarray, middle: np.ndarray | None
         return rows, rotated
     whiten = vt[keep] / s[keep][:, None] / length
     covariance = whiten @ middle @ whiten.T
-    lower = cholesky(0.5 * (covariance + covariance.T), lower=True)
+    lower, failed = _FACTORISE(0.5 * (covariance + covariance.T), lower=True)
+    known = slice(failed - 1 if failed else None)  # rounding of the squares in it hides directions that are weaker
+    lower, rows, rotated = lower[known, known], rows[known], rotated[known]
     return solve_triangular(lower, rows, lower=True), solve_triangular(lower, rotated, lower=True)
 
 

@@ -17,7 +17,7 @@ from bayesid.estimators.estimator import strongest
 from bayesid.estimators.factor import Factor, gram_rows
 from bayesid.estimators.robust.segments import Residuals
 from bayesid.regression.blocks import Block
-from bayesid.regression.linalg import column_lengths, or_one, standard_deviations
+from bayesid.regression.linalg import UNSEEN, column_lengths, or_one, standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -46,7 +46,7 @@ class Directions:
         """The directions of an unweighted factor (k, p)."""
         length = column_lengths(matrix)
         _, s, vt = np.linalg.svd(matrix / length, full_matrices=False)
-        keep = s > _DETERMINED * s[0]
+        keep = s > UNSEEN * s[0]
         return cls((vt[keep] / s[keep, None]).T / length[:, None])
 
     def solve(self, factor: Factor, target: np.ndarray) -> np.ndarray:
