@@ -13,6 +13,7 @@ from bayesid.diagnosis.changes.held_out import Place
 from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
 from bayesid.effects import stated_of
 from bayesid.estimators.parameters import with_ends
+from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.results.files import SCHEMA, Files, ShownResult, strict
@@ -402,6 +403,8 @@ class Watch(ShownResult):
             later = [w for w in self.recordings[names.index(where[0]) :] if w.comparison is not None]
             part = "all" if len(later) == len(where) else f"{len(where)} of {len(later)}"
             out.append(f"{spec}: first in {where[0]}" + (f", in {part} recordings from then on" if len(later) > 1 else ""))
+        if unknown := [w.name for w in self.recordings if w.verdict == "unknown"]:
+            out.append(f"Changed in {listed(unknown, 6)}, and no effect of the library is confirmed to explain any of it")
         if not out:
             out.append("Nothing changed that these recordings could show")
         if len(names) < self.planned:

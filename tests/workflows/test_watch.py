@@ -46,6 +46,14 @@ def test_the_first_recording_with_the_tool_is_told(watched, series, tmp_path):
     assert "payload@joint2 m" in str(watched) and "<table" in watched._repr_html_()
 
 
+def test_a_change_without_a_name_is_told(watched):
+    still, _, changed, _ = watched.recordings
+    unknown = replace(changed, comparison=replace(changed.comparison, verdict="unknown", changes=()))
+    said = "Changed in day3, and no effect of the library is confirmed to explain any of it"
+    assert replace(watched, recordings=(still, unknown), planned=2).sentences() == [said]
+    assert replace(watched, recordings=(still,), planned=1).sentences() == ["Nothing changed that these recordings could show"]
+
+
 def test_a_longer_series_asks_for_more_evidence(watched):
     """Bonferroni: the chance of a false name in the whole series is that of one recording."""
     assert watched.accept == pytest.approx(12.0 + np.log(4.0))
