@@ -325,6 +325,6 @@ def _unit(channel: str, prismatic: np.ndarray) -> str:
 
 def _figure(motion: Motion, prismatic: np.ndarray) -> Markup:
     """The recording as it is, thinned to what a page can show."""
-    unit = "m" if prismatic.all() else "rad" if not prismatic.any() else "rad or m"
-    times, groups, gaps = recorded(motion, _PLOTTED, unit, "N m")
+    position, torque = ("m", "N") if prismatic.all() else ("rad or m", "N m or N") if prismatic.any() else ("rad", "N m")
+    times, groups, gaps = recorded(motion, _PLOTTED, position, torque)
     return recording(times, groups, gaps, motion.kind == "poses")

@@ -33,16 +33,19 @@ def motion_plot(trajectory: Trajectory, groups: Sequence[Group]) -> Markup:
 
 
 def motion_groups(
-    t: Trajectory, units: Sequence[str] = ("rad or m", "per s", "per s²"), loads: _Loads | None = None
+    t: Trajectory, units: Sequence[str] = ("rad or m", "per s", "per s²"), loads: _Loads | None = None, torque: str = "N m or N"
 ) -> list[Group]:
-    """Joint positions, velocities and accelerations in three units, then names (c,) and values (N, c) of ``loads`` by channel."""
+    """Joint positions, velocities and accelerations in three units, then names (c,) and values (N, c) of ``loads`` by channel.
+
+    ``torque`` is the unit of joint torques.
+    """
     names, loads = [f"q{j + 1}" for j in range(t.positions.shape[1])], loads or {}
     joints = ("positions", t.positions), ("velocities", t.velocities), ("accelerations", t.accelerations)
     groups: list[Group] = [
         (f"joint {title} [{unit}]", names, values) for (title, values), unit in zip(joints, units, strict=True)
     ]
     if "torque" in loads:
-        groups.append(("joint torques of the nominal links [N m]", *loads["torque"]))
+        groups.append((f"joint torques of the nominal links [{torque}]", *loads["torque"]))
     if "wrench" in loads:
         channels, values = loads["wrench"]
         groups.append(("forces on the sensor [N]", channels[:3], values[:, :3]))
@@ -118,8 +121,10 @@ _TITLES = {
 
 
 def _groups(result: Excitation) -> list[Group]:
-    units = ("m",) if result.prismatic.all() else ("rad",) if not result.prismatic.any() else ("rad", "m")
-    return motion_groups(result.trajectory, [" or ".join(u + per for u in units) for per in ("", "/s", "/s²")], result.loads)
+    slides = result.prismatic
+    units, torque = (("m",), "N") if slides.all() else (("rad", "m"), "N m or N") if slides.any() else (("rad",), "N m")
+    each = [" or ".join(u + per for u in units) for per in ("", "/s", "/s²")]
+    return motion_groups(result.trajectory, each, result.loads, torque)
 
 
 @report_of.register

@@ -17,6 +17,8 @@ from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task, mount_response
 from bayesid.design.excitation.series import Coordinates, fitted_series
 from bayesid.recordings.experiment import Experiment, Sensor
+from bayesid.report.check import check_report
+from bayesid.report.excitation import excitation_report
 from bayesid.robot.robot import load_robot
 from tests.robots import ROBOTS, write
 
@@ -116,6 +118,14 @@ def test_motion_keeps_all_limits_by_pinocchio(name, tmp_path):
         wrench = pin.rnea(free, free_data, np.r_[np.zeros(6), 1.0, q[k]], np.r_[np.zeros(6), v[k]], np.r_[np.zeros(6), a[k]])[:6]
         moment = wrench[3:] - np.cross([0.0, 0.0, -0.1], wrench[:3])
         assert (np.abs(np.r_[wrench[:3], moment]) <= 0.8 * ranges).all()
+
+
+def test_reports_of_sliding_joints_say_that_their_readings_may_be_forces(tmp_path):
+    experiment = experiment_of("prismatic_arm", tmp_path)
+    planned = bayesid.excite(experiment, duration=8.0, period=8.0, channel="torque", seed=1, **QUICK)
+    assert "joint torques of the nominal links [N m or N]" in excitation_report(planned)
+    recorded = bayesid.simulate(experiment, [planned.trajectory], seed=0)
+    assert "joint torques [N m or N]" in check_report(bayesid.check(recorded))
 
 
 def test_optimised_beats_random_motions_within_the_same_limits(tmp_path):
