@@ -88,7 +88,7 @@ def comparison_report(result: Comparison) -> str:
     sections.append(how(*_how(result), seconds=result.seconds, after=after, title="How this was done"))
     name = "Comparison of estimators" if problem is None else problem.experiment.name
     source = "a regression of one's own" if problem is None else f"the {channel_text(problem.channel, problem.fitted)}"
-    better = "every estimator predicts better than the nominal model, and " if predicted else ""
+    better = "every estimator predicts better than the nominal model, and " if predicted and result.baselines else ""
     opening = [
         warnings(result.warnings, f"No warnings: {better}no test finds estimators in contradiction."), lead(_lead(result)),
         cards(_cards(result)),

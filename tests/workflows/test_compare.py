@@ -165,6 +165,13 @@ def test_where_the_noise_is_not_known_the_error_alone_judges(compared):
     assert "wls leaves least" in text and "times the noise" not in text
 
 
+def test_nothing_is_said_of_a_nominal_model_that_there_is_not(compared):
+    text = read(comparison_report(replace(compared, warnings=()))).text
+    assert "every estimator predicts better than the nominal model" in text
+    without = read(comparison_report(replace(compared, warnings=(), baselines=()))).text
+    assert "No warnings: no test finds" in without
+
+
 def test_stated_values_of_effects_are_part_of_the_nominal_model(robot):
     stated = replace(made(robot, names=("identification",)), effects=("sensor_offset",),
                      effect_values={"sensor_offset": dict.fromkeys(("fx", "fy", "fz", "mx", "my", "mz"), 3.0)})  # fmt: skip
