@@ -112,7 +112,7 @@ def _experiment(
     """The robot and its model, and planned motions where there are any."""
     planned: list[Motion | Trajectory] | None = None
     if isinstance(given, Robot):
-        experiment = Experiment(given.name, given, (), Sensor() if given.sensor_parent < 0 else None)
+        experiment = Experiment(given.name, given, (), Sensor())
         if trajectories is None:
             planned = [fourier_trajectory(given, "random motion")]
     elif isinstance(given, (str, Path)):

@@ -265,3 +265,11 @@ def test_torques_of_some_joints_are_planned_for_by_their_own_noise(tmp_path):
     assert found.main.noise_std == {"tau2": 1.5} and found.main.noise == {"torque": "given"}
     plan = bayesid.excite(setup, channel="torque", starts=1, randoms=2, seconds=0.1, duration=5.0)
     assert len(plan.std) == plan.possible
+
+
+def test_a_robot_with_a_sensor_in_a_joint_is_asked_about_by_that_sensor(tmp_path):
+    """As `excite` and `simulate` take it; nothing speaks of a sensor under the base."""
+    robot = load_robot(write(tmp_path, robots.wrist_sensor_arm()), sensor_joint="wrist_ft")
+    found = bayesid.identifiability(robot, sensor_sets="wrench-offset")
+    assert found.main.rank_of_any_motion == 10 and found.main.sensor_set.name == "wrench-offset"
+    assert not any("under the base" in line for line in found.warnings)
