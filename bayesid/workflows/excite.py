@@ -253,7 +253,7 @@ def tell(
     Parameters
     ----------
     experiment
-        Loaded, or its folder. What recorded motions tell already counts, and noise is as in them; without any it is as stated.
+        Loaded, or its folder. What recorded motions tell already counts, and noise and rate are theirs; without any as stated.
     effects
         Two or more: ``name@where``, or ``name`` where there is one place.
     options
@@ -287,7 +287,9 @@ def tell(
         clock("noise of sensors and encoders")
         recorded = any(m.kind == "trajectory" and has_readings(m.table, channel) for m in experiment.motions)
         if not recorded:  # for its noise alone
-            experiment = simulate(experiment, [fourier_trajectory(experiment.robot, seed=seed)], effects=(), seed=seed)
+            experiment = simulate(
+                experiment, [fourier_trajectory(experiment.robot, rate=chosen.rate, seed=seed)], effects=(), seed=seed
+            )
         terms, held = known_terms(experiment, channel, None)
         data = prepare_data(experiment, channel, terms, names(motions) if recorded else None, seed, held, DEFAULT)
         clock("the motion that tells them apart")

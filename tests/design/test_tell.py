@@ -411,3 +411,9 @@ def test_a_prolonged_motion_is_the_same_path_for_longer(planned):
 def test_options_that_will_not_do(recorded, options):
     with pytest.raises(InputError):
         tell_verb(recorded, ["base_tilt", "sensor_rotation"], **options)
+
+
+def test_a_motion_without_recordings_before_it_is_sampled_as_asked(tmp_path):
+    bare = Experiment("bare", puma2(tmp_path), (), Sensor())
+    told = tell_verb(bare, ["sensor_delay", "base_tilt"], rate=50.0, duration=6.0)
+    np.testing.assert_allclose(np.diff(told.telling.trajectory.times), 0.02)
