@@ -334,3 +334,9 @@ def test_excess_is_taken_back_to_the_nearest_motion_within_limits(tmp_path):
     assert back is not None
     assert max(np.abs(part).max() for part in task.limits.ratios(task.dense.motion(back))) <= 0.995
     assert np.linalg.norm(back - x) < np.linalg.norm(task.coordinates.numbers(start) - x)
+
+
+@pytest.mark.parametrize("given", [dict(stops=1), dict(stops=1251), dict(settle=-0.1), dict(read=float("nan"))])
+def test_a_static_run_that_cannot_be_is_refused_before_the_search(given):
+    with pytest.raises(bayesid.InputError, match=f"{next(iter(given))}="):
+        bayesid.ExcitationOptions(duration=20.0, rate=125.0, **given)

@@ -124,6 +124,13 @@ class ExcitationOptions:
             raise InputError(
                 f"{argument('duration', self.duration)} at {argument('rate', self.rate)}: give at most {_MOST_SAMPLES:,} samples"
             )
+        samples = int(round(self.repeats_after * self.rate))
+        if self.stops is not None and not 2 <= self.stops <= samples:
+            raise InputError(f"{argument('stops', self.stops)}: give 2 to {samples}, the samples of a period")
+        for name in ("settle", "read"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"{argument(name, value)}: give a time in seconds, 0 or more")
         lowest = 10.0 * self.harmonics / self.repeats_after
         if self.rate < lowest:
             raise InputError(
