@@ -120,6 +120,8 @@ def test_it_is_told_in_words_and_in_the_report(diagnosis):
     assert "What stays" in report
     assert "the model as it was" in report
     assert "more that stays unexplained" in diagnosis._repr_html_() and diagnosis.reason == "residual"
+    assert ("<p>stays: " in diagnosis._repr_html_()) == bool(diagnosis.remainder)
+    assert "<p>disagrees: " not in diagnosis._repr_html_()
 
 
 def test_where_nothing_stays_the_reason_is_told_instead(diagnosis):
