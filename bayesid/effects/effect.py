@@ -199,6 +199,10 @@ class Effect(ABC):
         """Whether it changes a channel of this name (``fx`` ... ``mz``, ``tau1`` ...)."""
         return ("wrench" if channel in WRENCH_NAMES else "torque") in cls.channels
 
+    def predictable(self, channels: Sequence[str]) -> bool:
+        """Whether channels of these names hold all that it takes into any of them."""
+        return True
+
     # -- sizes
 
     def typical(self, robot: Robot) -> Sequence[float]:

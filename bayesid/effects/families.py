@@ -122,6 +122,11 @@ class TransmissionEffect(Effect):
     def coupling(self, values: Sequence[float]) -> float:
         """c: how far the motor turns with its driver, in units of its gear's output."""
 
+    def predictable(self, channels):
+        """Whether with the driver's torque that of the joint itself is read."""
+        driver, own = (None if k is None else f"tau{k + 1}" for k in (self.driver, self.joint))
+        return own in channels or driver not in channels
+
 
 class FlexibleJointEffect(Effect):
     """The link is not where the motor is (`bayesid.effects.flexible`)."""

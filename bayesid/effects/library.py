@@ -133,10 +133,17 @@ class EffectLibrary:
     def places(
         self, name: str, joint_names: Sequence[str], channels: Sequence[str], gear_ratio: Mapping[str, float] | None = None
     ) -> tuple[Effect, ...]:
-        """All effects of the class of a name that can change one of the channels, by their names.
+        """All effects of the class of a name that can change one of the channels, by their names, and be predicted in them.
 
         Joints have the URDF's names, in the order of q1 ... qn; gear ratios are by these.
         """
+        acting = self._acting(name, joint_names, channels, gear_ratio)
+        return tuple(e for e in acting if e.predictable(channels))
+
+    def _acting(
+        self, name: str, joint_names: Sequence[str], channels: Sequence[str], gear_ratio: Mapping[str, float] | None
+    ) -> tuple[Effect, ...]:
+        """All effects of the class of a name that can change one of the channels."""
         c = self.classes[name]
         if not any(c.acts_on(channel) for channel in channels):
             return ()
@@ -182,14 +189,14 @@ class EffectLibrary:
             name, _, where = spec.partition("@")
             c = self.named(name, spec)
             everything = (*WRENCH_NAMES, *(f"tau{i + 1}" for i in range(len(joint_names))))
-            everywhere = self.places(name, joint_names, everything, gear_ratio)
+            everywhere = self._acting(name, joint_names, everything, gear_ratio)
             place = "->".join(f"joint{list(joint_names).index(w) + 1}" if w in joint_names else w for w in where.split("->"))
             found = [e for e in everywhere if place in ("", e.where)]
             if not found:
                 raise InputError(f"effect '{spec}': {_where_else(c, where, len(joint_names))}")
             if not place and c.at == "joint|robot":
                 found = [e for e in found if e.joint is not None]
-            seen = {e.spec for e in self.places(name, joint_names, channels, gear_ratio)}
+            seen = {e.spec for e in self._acting(name, joint_names, channels, gear_ratio)}
             effects |= {e.spec: e for e in found if e.spec in seen and e.spec not in effects}
         return tuple(effects.values())
 

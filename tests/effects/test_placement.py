@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bayesid.dynamics.channels import torque_channels
-from bayesid.effects import Model, MotionSegment, readings
+from bayesid.effects import EffectLibrary, Model, MotionSegment, readings
 from bayesid.effects.surroundings import surroundings_of
 from bayesid.errors import InputError
 from tests.effects.arms import at_base, moving, oracle, term
@@ -152,3 +152,13 @@ def test_a_coupled_transmission_needs_the_torques_that_its_motors_share(panda):
     np.testing.assert_allclose(some, whole[:, [1, 4, 5]])
     with pytest.raises(InputError, match="take tau6 into other torques"):
         readings(panda, every.only([1, 3]), segment, panda.nominal, (coupled,))
+
+
+def test_a_coupled_transmission_is_sought_only_where_the_torques_that_its_motors_share_are_read():
+    """Asked for by name, it is refused with what lacks instead."""
+    library, names = EffectLibrary(), ("a", "b")
+    found = {
+        k: [e.where for e in library.places("coupled_transmission", names, k)] for k in (("tau1",), ("tau2",), ("tau1", "tau2"))
+    }
+    assert found == {("tau1",): [], ("tau2",): ["joint1->joint2"], ("tau1", "tau2"): ["joint1->joint2"]}
+    assert [e.where for e in library.parse(["coupled_transmission"], names, ["tau1"])] == ["joint1->joint2"]
