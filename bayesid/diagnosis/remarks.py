@@ -18,13 +18,12 @@ from bayesid.diagnosis.stability import Stability
 from bayesid.diagnosis.validation import Gap
 from bayesid.diagnosis.verdict import Reason, Verdict
 from bayesid.effects import Term
+from bayesid.effects.segment import late_start
 from bayesid.estimators.prior_check import CONFLICT
 from bayesid.section import powers
 
 #: Share of a direction's prior variance that the data must explain for it to count.
 _CLEAR = 0.01
-#: From here on the slope of a drift is lost in its size at the start [s]: a day.
-_LATE = 1e5
 
 
 def by_kind(terms: Iterable[Term]) -> list[str]:
@@ -141,11 +140,7 @@ def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> li
             f"{', '.join(idle)} of the model cannot be seen in what is compared ({argument('channel', data.channel)}), "
             "and took no part."
         )
-    if (start := max(abs(x.times[0]) for x in data.segments)) > _LATE:
-        out.append(
-            f"Times start at {start:.3g} s. A drift and a drive's warming count from time zero, so that they look constant "
-            "here; subtract the start."
-        )
+    out += late_start(max(abs(x.times[0]) for x in data.segments))
     if data.instants:
         out.append(
             "Dry friction fits better with readings as values at their times than as means over a sample's time, so they are "

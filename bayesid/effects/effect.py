@@ -138,6 +138,7 @@ class Effect(ABC):
     harmonics: ClassVar[tuple[float, ...]] = ()
     #: Whether its values change from day to day, with temperature, load and grease, without anything having changed.
     wanders: ClassVar[bool] = False
+    since_zero: ClassVar[bool] = False  # whether it grows from time zero of the tables on
     last_resort: ClassVar[bool] = False  # whether `trials` are made only where columns leave something unexplained
     #: Factors on its first value, from which a fit that leaves something unexplained is started again.
     restarts: ClassVar[tuple[float, ...]] = ()

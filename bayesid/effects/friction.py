@@ -195,6 +195,7 @@ class WarmingFriction(JointTorqueEffect):
     confusable_with = ("viscous_friction", "coulomb_friction", "torque_gain")
     reverses_at_once = True
     remembers = True
+    since_zero = True
 
     def typical(self, robot):
         # A tenth of the usual Coulomb friction and a third of the usual viscous friction are gone when warm, after minutes.

@@ -15,6 +15,8 @@ from bayesid.signals.smoothing import smooth
 #: Speed below which a joint counts as nearly at rest and friction as partly mobilised [rad/s or m/s].
 REST_SPEED = 1e-3
 _KEPT, _KEPT_OF_TIMES, _KEPT_OF_JOINTS = 6, 12, 60  # the last are small, and each takes long
+#: From here on the slope of a drift is lost in its size at the start [s]: a day.
+_LATE = 1e5
 _SPLINE = 5  # degree of the interpolation that a delay is made with
 
 
@@ -151,3 +153,13 @@ def delayed(times: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
         ends = np.clip(at[beyond], times[0], times[-1])
         out[beyond] += (at[beyond] - ends)[:, None] * spline(ends, 1)
     return out.reshape(values.shape)
+
+
+def late_start(start: float) -> list[str]:
+    """That the slope of what grows with time is lost in its size where tables start [s], if they start so late."""
+    if start < _LATE:
+        return []
+    return [
+        f"Times start at {start:.3g} s. A drift and a drive's warming count from time zero, so that they look constant here; "
+        "subtract the start."
+    ]

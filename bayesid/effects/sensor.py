@@ -68,6 +68,7 @@ class SensorDrift(_OnTop):
     equation = "$w + d\\,t$, with $t$ of the table, which may number poses; a static run is read after re-zeroing and has none"
     quantities = tuple(Parameter(n, f"{u}/s", typical=1e-3 * o) for n, u, o in zip(WRENCH_NAMES, _LOADS, _OFFSET, strict=True))
     confusable_with = ("tether",)
+    since_zero = True
 
     def course(self, segment):
         return segment.elapsed

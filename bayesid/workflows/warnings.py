@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesid.arguments import argument, call
 from bayesid.effects import Effect
+from bayesid.effects.segment import late_start
 from bayesid.estimators import Estimate
 from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.recordings.complaints import listed
@@ -27,6 +28,7 @@ def of_fit(
     """What any fit to these recordings should be read with, most important first; ``wrong``: what is wrong with it or them."""
     out = [
         *unseen_effects(problem),
+        *_too_late(problem),
         *conflicts(check),
         *not_settled(problem, estimate),
         *wrong,
@@ -54,6 +56,13 @@ def unseen_effects(problem: Problem) -> list[str]:
         f"{argument('effects', problem.unseen)}: the readings that are fitted ({problem.channel}) do not show {them}, "
         f"{left_out}{remedy}."
     ]
+
+
+def _too_late(problem: Problem) -> list[str]:
+    """That times start too late for effects of the model that grow from time zero on."""
+    if not any(e.since_zero for e in problem.row_model.effects):
+        return []
+    return late_start(max(abs(float(problem.experiment[name].table.times[0])) for name in problem.fitted))
 
 
 def _recorded(problem: Problem, channel: str | None) -> bool:

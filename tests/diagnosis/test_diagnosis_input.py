@@ -119,6 +119,21 @@ def test_what_takes_no_part_is_said(robot):
     assert any("Times start at 1.7e+09 s" in r for r in found.remarks)
 
 
+def test_identify_says_that_a_drift_is_lost_in_late_times(robot):
+    """Only of an effect that counts from time zero, and in the words of `diagnose`."""
+    given = recorded(robot, both(robot))
+    late = replace(given, motions=tuple(replace(m, table=replace(m.table, times=m.table.times + 1.7e9)) for m in given.motions))
+    said = {
+        (when, effects): any(
+            "Times start at 1.7e+09 s" in w for w in bayesid.identify(x, channel="wrench", effects=effects).warnings
+        )
+        for when, x in (("early", given), ("late", late))
+        for effects in ("sensor_drift", "sensor_offset")
+    }
+    assert said == {("early", "sensor_drift"): False, ("early", "sensor_offset"): False, ("late", "sensor_drift"): True,
+                    ("late", "sensor_offset"): False}  # fmt: skip
+
+
 def test_a_payload_that_links_can_hide_is_explained(robot):
     """The same motions, carrying more than the trust in the last link allows: no residual, but links far from nominal."""
     body = {"m": 3.0, "mcx": 1.0, "mcy": 0.2, "Ixx": 0.1, "Iyy": 0.5, "Izz": 0.5}
