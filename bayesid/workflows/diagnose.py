@@ -15,7 +15,7 @@ from typing import TypedDict, Unpack, overload
 from bayesid.design.tell.choose import tell_search
 from bayesid.diagnosis.changes.findings import compare_with_reference
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.description.describe import describe
+from bayesid.diagnosis.description.describe import describe, stands_alone
 from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.in_part import InPart, proven_effects
 from bayesid.diagnosis.locate import Disagreement, locate
@@ -172,8 +172,9 @@ def diagnose(
             return _with_description(_with_next_motion(out, seed, progress), seed, progress)
 
         diagnosis = concluded(imitate=False)
-        if diagnosis.part is not None and diagnosis.description is not None and diagnosis.description.stands_alone:
-            diagnosis = concluded(imitate=True)
+        if diagnosis.part is not None and stands_alone(diagnosis.description):
+            other = concluded(imitate=True)
+            diagnosis = other if stands_alone(other.description) else diagnosis
     return replace(diagnosis, seconds=time.perf_counter() - since)
 
 

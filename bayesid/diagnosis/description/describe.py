@@ -123,13 +123,15 @@ class Description:
     gap: Gap | None  # on motions that were never fitted, without and with the draft; None where there are none
     candidates: int  # how many were tried
 
-    @property
-    def stands_alone(self) -> bool:
-        """Whether it closes nearly all of what effects that were found leave, and beside it none of these differs from zero."""
-        data = self.fit.projector.data
-        closes = self.gap is not None and self.gap.closed > data.settings.nearly_all
-        found = range(len(data.terms), len(self.start.terms))
-        return closes and not any(differs_from_zero(self.fit, k, _dispersion(self.fit)) for k in found)
+
+def stands_alone(description: Description | None) -> bool:
+    """Whether it closes nearly all of what effects that were found leave, and beside it none of these differs from zero."""
+    if description is None or description.gap is None:
+        return False
+    fitted, data = description.fit, description.fit.projector.data
+    found = range(len(data.terms), len(description.start.terms))
+    closes = description.gap.closed > data.settings.nearly_all
+    return closes and not any(differs_from_zero(fitted, k, _dispersion(fitted)) for k in found)
 
 
 def describe(base: Fit, starts: Sequence[Fit], library: Library | None, seed: int = 0) -> Description | None:
