@@ -86,7 +86,7 @@ def made(folder, channel, seed=0):
 @pytest.mark.parametrize(
     ("effect", "channel"),
     [
-        ("sensor_delay", "wrench"),
+        pytest.param("sensor_delay", "wrench", marks=pytest.mark.slow),
         ("base_tilt", "wrench"),
         ("coulomb_friction", "torque"),
         pytest.param("torque_ripple", "torque", marks=pytest.mark.slow),
