@@ -367,7 +367,7 @@ def _axis(urdf: Path, joint, name: str) -> tuple[np.ndarray, bool]:
     if joint.nv != 1:
         raise InputError(
             f"{urdf}: joint '{name}' has {joint.nv} degrees of freedom; "
-            "only revolute, continuous, prismatic and fixed joints are supported"
+            'only revolute, continuous, prismatic and fixed joints are supported: write type="fixed", if it does not move'
         )
     data = joint.createData()
     joint.calc(data, np.zeros(1) if joint.nq == 1 else np.array([1.0, 0.0]))  # at zero: its angle, or cosine and sine

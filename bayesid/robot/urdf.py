@@ -56,7 +56,7 @@ def urdf_text(robot: Robot, parameters: np.ndarray, dynamics: JointDynamics | No
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     owners = [_child(joints[name]) for name in robot.body_names]
     for name in owners:
-        for merged in _carried(name, joints, robot.body_names):
+        for merged in carried(name, joints, robot.body_names):
             for old in links[merged].findall("inertial"):
                 links[merged].remove(old)
     for name, body in zip(owners, np.reshape(parameters, (-1, 10)), strict=True):
@@ -89,7 +89,7 @@ def _child(joint: ET.Element) -> str:
     return "" if child is None else str(child.get("link"))
 
 
-def _carried(link: str, joints: dict, bodies: tuple[str, ...]) -> list[str]:
+def carried(link: str, joints: dict, bodies: tuple[str, ...]) -> list[str]:
     """The link and all links that joints without a body of their own attach to it."""
     out = [link]
     for carrier in out:

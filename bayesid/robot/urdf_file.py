@@ -183,7 +183,7 @@ def _checked(data: bytes, path: Path, notes: tuple[str, ...] = (), inside: dict 
     for name, element in joints.items():
         _check_numbers(element, known[name].kind, at_joint[name])
     root_link = _check_tree(links, known, wrong)
-    bodies = {name: _body(element, partial(wrong, key=f"link {_cut(name)}")) for name, element in links.items()}
+    bodies = {name: stated_body(element, partial(wrong, key=f"link {_cut(name)}")) for name, element in links.items()}
     return UrdfFile(path, data, known, (*notes, *_doubts(bodies, root_link, path.name)), inside or {})
 
 
@@ -282,7 +282,7 @@ def _check_tree(links: Iterable[str], joints: dict[str, UrdfJoint], wrong: Wrong
     return roots[0]
 
 
-def _body(link: ET.Element, wrong: Wrong) -> np.ndarray:
+def stated_body(link: ET.Element, wrong: Wrong) -> np.ndarray:
     """Ten parameters of a link about its own origin (10,); zero without an ``<inertial>``."""
     inertial = link.find("inertial")
     if inertial is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -438,6 +439,39 @@ def test_an_sdf_of_a_robot_without_masses_is_refused(tmp_path):
     robot = puma2(tmp_path)
     with pytest.raises(bayesid.InputError, match="robot.urdf: link link1 moves and has no mass, which SDF has no word for"):
         sdf(robot, {}, np.zeros(robot.nominal.size), JointDynamics({}))
+
+
+BODY = """<inertial><origin xyz="0.1 0 0"/><mass value="2"/>
+<inertia ixx="{}" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.03"/></inertial>"""
+SLIDER = f"""<robot name="slider">
+<link name="base">{BODY.format(1.0)}</link>
+<link name="cart">{BODY.format(0.03)}</link>
+<link name="arm">{BODY.format(0.03)}</link>
+<joint name="slide" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="0 0 2"/>
+<limit lower="0" upper="0" velocity="1" effort="1"/></joint>
+<joint name="turn" type="revolute"><parent link="cart"/><child link="arm"/><origin xyz="0.2 0 0" rpy="0.1 {math.pi / 2} 0.2"/>
+<axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
+</robot>"""
+
+
+@pytest.mark.parametrize("form", [mjcf, sdf])
+def test_a_base_that_no_body_can_be_a_slide_without_limits_and_an_upright_frame_are_exported(form, tmp_path):
+    robot = load_robot(write(tmp_path, SLIDER), ["slide"], {"turn": 0.3})
+    text = form(robot, {"turn": 0.3}, robot.nominal.ravel(), JointDynamics({}))  # warnings are errors: rpy has a pitch of pi / 2
+    q, v, a = (x[-1] for x in states(robot, 3))
+    expected = inverse_of_nominal(robot, q[None], v[None], a[None])[0]
+    if form is sdf:
+        reader = SdfReader(text)
+        found = pin.rnea(reader.model, reader.model.createData(), q, v, a)
+        assert reader.parts["slide"].find("axis/limit/lower") is None and reader.parts["slide"].find("axis/limit/upper") is None
+    else:
+        model = mujoco.MjModel.from_xml_string(text)
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
+        mujoco.mj_inverse(model, data)
+        found = data.qfrc_inverse
+        assert not model.jnt_limited.any()
+    np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 def test_springs_and_delays_of_torques_are_mujocos(tmp_path):

@@ -5,15 +5,18 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pinocchio as pin
 
 from bayesid.errors import InputError
+from bayesid.robot import inertia
 from bayesid.robot.mjcf import compare, load_mujoco
 from bayesid.robot.robot import Robot
-from bayesid.robot.urdf import JointDynamics, urdf_text
+from bayesid.robot.urdf import JointDynamics, carried, urdf_text
+from bayesid.robot.urdf_file import stated_body
 
 #: Time step of a simulation [s] down to which delays have room for their history.
 FINEST_STEP = 5e-4
@@ -67,7 +70,12 @@ def plain_urdf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dyn
             link.remove(shape)
     for element in (e for tag in ("material", "transmission", "gazebo", "mujoco") for e in root.findall(tag)):
         root.remove(element)
-    for joint in root.findall("joint"):
+    links_by_name, joints = ({e.get("name"): e for e in root.findall(tag)} for tag in ("link", "joint"))
+    for link in (links_by_name[name] for name in carried(robot.description.root_link, joints, robot.body_names)):
+        # Simulators refuse what no body can have, here of links that do not move, so that nothing depends on it.
+        if not inertia.is_physically_consistent(stated_body(link, partial(InputError, file=robot.urdf.name))):
+            link.remove(_part(link, "inertial"))
+    for joint in joints.values():
         name, kind = str(joint.get("name")), str(joint.get("type"))
         for element in joint.findall("mimic"):
             joint.remove(element)
@@ -86,15 +94,15 @@ def _fix(joint: ET.Element, kind: str, position: float) -> None:
     if origin is None:
         origin = ET.SubElement(joint, "origin")
     xyz, rpy = (np.array(origin.get(key, "0 0 0").split(), float) for key in ("xyz", "rpy"))
-    along = np.array("1 0 0".split() if axis is None else str(axis.get("xyz")).split(), float)
+    along = np.array("1 0 0".split() if axis is None else axis.get("xyz", "1 0 0").split(), float)
     along = along / np.linalg.norm(along)
-    turn = Rotation.from_euler("xyz", rpy)
+    turn = pin.rpy.rpyToMatrix(*map(float, rpy))
     if kind == "prismatic":
-        xyz = xyz + turn.apply(position * along)
+        xyz = xyz + turn @ (position * along)
     else:
-        turn = turn * Rotation.from_rotvec(position * along)
+        turn = turn @ pin.exp3(position * along)
     origin.set("xyz", " ".join(repr(float(x)) for x in xyz))
-    origin.set("rpy", " ".join(repr(float(x)) for x in turn.as_euler("xyz")))
+    origin.set("rpy", " ".join(repr(float(x)) for x in pin.rpy.matrixToRpy(turn)))  # at a pitch of a right angle, too
     joint.set("type", "fixed")
     for tag in ("axis", "limit", "dynamics", "calibration", "safety_controller"):
         for element in joint.findall(tag):
@@ -243,9 +251,9 @@ def _add_inertial(link: ET.Element, stated: ET.Element | None) -> None:
         return
     ET.SubElement(inertial, "pose").text = _pose(stated)
     ET.SubElement(inertial, "mass").text = _part(stated, "mass").get("value")
-    inertia = ET.SubElement(inertial, "inertia")
+    about = ET.SubElement(inertial, "inertia")
     for key, value in _part(stated, "inertia").attrib.items():
-        ET.SubElement(inertia, key).text = value
+        ET.SubElement(about, key).text = value
 
 
 def _add_joint(model: ET.Element, joint: ET.Element | None, child: str, springs: Mapping[str, tuple[float, float]]) -> None:
@@ -263,11 +271,13 @@ def _add_joint(model: ET.Element, joint: ET.Element | None, child: str, springs:
     if kind == "fixed":
         return
     axis, along = ET.SubElement(element, "axis"), joint.find("axis")
-    ET.SubElement(axis, "xyz").text = "1 0 0" if along is None else along.get("xyz")
+    ET.SubElement(axis, "xyz").text = "1 0 0" if along is None else along.get("xyz", "1 0 0")
     if (limit := joint.find("limit")) is not None:
         stated = ET.SubElement(axis, "limit")
-        for key in ("lower", "upper") if kind != "continuous" else ():
-            ET.SubElement(stated, key).text = limit.get(key, "0")
+        ends = {key: limit.get(key, "0") for key in ("lower", "upper")}
+        # Equal ends mean none in a URDF, here or in its reader; in SDF they would hold the joint there.
+        for key, end in ends.items() if kind != "continuous" and float(ends["lower"]) < float(ends["upper"]) else ():
+            ET.SubElement(stated, key).text = end
         for key in ("effort", "velocity"):
             if float(limit.get(key, "0")) > 0.0:
                 ET.SubElement(stated, key).text = limit.get(key)
