@@ -421,8 +421,13 @@ class ControllerBounds(ShownResult):
         """What there is to say in one line each."""
         region, w, left = self.region, self.workspace, self.remainder
         out = [
-            f"parameters of the joint torques: {len(region.values)}, all at once within {number(region.factor, 3)} standard "
-            f"deviations (box), rho_V {number(region.ellipsoid, 4)} (ellipsoid), rho {number(region.rho, 3)} (ball, SI units)",
+            f"parameters of the joint torques: {len(region.values)}, "
+            + (
+                f"all at once within {number(region.factor, 3)} standard deviations (box)"
+                if region.factor > 0.0
+                else "only in sums"
+            )
+            + f", rho_V {number(region.ellipsoid, 4)} (ellipsoid), rho {number(region.rho, 3)} (ball, SI units)",
             f"torque of the ball over that of the ellipsoid: {number(self.effort_ratio, 2)} times (median)",
             f"mass matrix: M_hat is {number(w.ratio[0], 3)} to {number(w.ratio[1], 3)} times M; alpha {number(w.alpha, 3)}"
             + (" (of identified.urdf)" if w.of_urdf else "")

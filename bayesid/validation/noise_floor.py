@@ -85,16 +85,22 @@ class NoiseFloor:
         return np.sqrt(energy / max(count, 1))
 
 
-def noise_floor(problem: Problem) -> NoiseFloor | None:
-    """The floor of an experiment's moving readings, the same for all models of them; None where nothing tells it."""
-    given, problem = problem, _with_usual_model(problem)
+def noise_floor(problem: Problem, channel: str | None = None) -> NoiseFloor | None:
+    """The floor of an experiment's moving readings, the same for all models of them; None where nothing tells it.
+
+    ``channel`` is that of other readings than were fitted: ``wrench`` or ``torque``.
+    """
+    given, problem = problem, _with_usual_model(problem, channel or problem.channel)
+    if channel and problem.channel != channel:  # these readings are of no use
+        return None
     moving = [s for segments in problem.segments.values() for s in segments if not s.poses]
     samples = [s.measured(0, len(s.times)) for s in moving if len(s.times) >= 32]
     if not samples:
         return None
     top = max(_LOWEST_TOP, 0.5 / problem.row_model.step)
     sensor, source, encoder = steady_noise(samples), READINGS, _encoder_power(problem, moving, top)
-    if any(e.settling > 0.0 or e.amplifies_encoder_errors for e in given.row_model.effects):
+    own_model = given.channel == problem.channel
+    if own_model and any(e.settling > 0.0 or e.amplifies_encoder_errors for e in given.row_model.effects):
         own = [s for segments in given.segments.values() for s in segments if not s.poses]
         encoder = np.maximum(encoder, _encoder_power(given, own, top))
     if low_passed(samples):
@@ -111,18 +117,22 @@ def noise_floor(problem: Problem) -> NoiseFloor | None:
     return NoiseFloor(sensor, encoder, source, top)
 
 
-def _with_usual_model(problem: Problem) -> Problem:
-    """The same readings with the model that noise is measured with; of a recording that is read in chunks, of its excerpt."""
-    usual, model = _USUAL[problem.channel], problem.row_model
+def _with_usual_model(problem: Problem, channel: str) -> Problem:
+    """Readings with the model that noise is measured with; of a recording that is read in chunks, of its excerpt.
+
+    The problem itself where it is so, or where such a model cannot be made.
+    """
+    usual, model = _USUAL[channel], problem.row_model
     own = {e.name for e in model.effects} - {"sensor_offset"}
     stored = any(m.stored for m in problem.experiment.motions)
     given = model.filters is not None or problem.smoother.reason == "as given"
-    if own == set(usual) and model.point is None and not given and not stored:
+    same = channel == problem.channel
+    if same and own == set(usual) and model.point is None and not given and not stored:
         return problem
     motions = tuple(replace(m, stored=None) for m in problem.experiment.motions)
-    fitted = [m.name for m in motions if m.name in problem.fitted] or None
+    fitted = [m.name for m in motions if m.name in problem.fitted and same] or None
     static = "joint" if problem.static == "joint" else "motion"
-    options = FitOptions(problem.channel, motions=fitted, effects=usual, static=static)
+    options = FitOptions(channel, motions=fitted, effects=usual, static=static)
     try:
         return prepare(replace(problem.experiment, motions=motions), options)
     except InputError:  # a joint without torques, a motion that is too short for it

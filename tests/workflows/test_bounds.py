@@ -89,6 +89,7 @@ def test_torques_give_the_other_uncertainty(identified):
     assert left is not None and left.held_out and left.motions == ("validation",)
     # Simulated without friction: what is left below 10 Hz is the noise of 0.05 N m, of which a band of 62.5 Hz keeps a part.
     np.testing.assert_allclose(left.bound, 2.58 * 0.05 * np.sqrt(10 / 62.5), rtol=0.35)
+    assert left.complete and not any("Something is missing" in w for w in identified.warnings)
     assert not identified.inside.complete and any("inside the joints" in w for w in identified.warnings)
 
 

@@ -15,6 +15,7 @@ import bayesid
 from bayesid.design.bounds.knowledge import held_out_scale
 from bayesid.regression.linalg import standard_deviations
 from bayesid.regression.problem import prepare
+from bayesid.robot.robot import load_robot
 from bayesid.validation.noise_floor import noise_floor
 from tests.simulated import Motion, experiment, fourier, puma2, recording
 from tests.studies.page import DOCS
@@ -92,6 +93,27 @@ def test_a_link_and_its_rotor_are_a_sum_that_the_bands_know(robot, complete):
     np.testing.assert_allclose(one.values, other.values, atol=1e-6)
     np.testing.assert_allclose(one.std, other.std, rtol=1e-3)
     assert bounds.ellipsoid == pytest.approx(same.ellipsoid)
+
+
+def test_a_sum_alone_has_bounds(tmp_path):
+    """A vertical joint's torque shows its inertia and its rotor's together and nothing else: bounds are those of the sum."""
+    text = (
+        '<robot name="r"><link name="base"/><link name="l"><inertial><origin xyz="0.2 0 0"/><mass value="2"/>'
+        '<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="j" type="continuous">'
+        '<parent link="base"/><child link="l"/><axis xyz="0 0 1"/><limit velocity="5" effort="50"/></joint></robot>'
+    )
+    (tmp_path / "r.urdf").write_text(text)
+    robot = load_robot(tmp_path / "r.urdf", ["j"])
+    motion = fourier(robot, 1, 10.0)
+    readings = recording(robot, None, motion, seed=1, torque_std=0.02)
+    readings = replace(readings, torques=readings.torques + 0.15 * motion[3])
+    bounds = bayesid.bounds(
+        experiment(robot, [Motion("m", "identification", readings)], effects=["rotor_inertia"]), method="wls", configurations=4
+    )
+    assert bounds.region.undetermined.all() and "2, only in sums, rho_V" in str(bounds)
+    band = bounds.torque(*(x[::50] for x in motion[1:]))
+    np.testing.assert_array_less(np.abs(0.25 * motion[3][::50] - band.values), 4.0 * band.std)  # 0.02 + 2 * 0.2^2 + 0.15
+    assert 0.0 < band.std.max() < 0.01 * np.abs(band.values).max()
 
 
 def test_nothing_is_added_to_the_bands_of_a_complete_model(complete):

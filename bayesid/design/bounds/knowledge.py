@@ -232,7 +232,7 @@ def known_from(
             f"method {method} has no covariance, so nothing can be bounded with it; take another, such as wls, or sample"
         )
     rank = problem.row_model.base.rank
-    if undetermined.all():
+    if not np.any(np.diag(covariance) > 0.0):
         raise InputError("these motions determine no parameter, so nothing can be bounded; record other motions")
     covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     values = np.zeros(len(problem.row_model.free))

@@ -25,7 +25,7 @@ from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.recordings.experiment import Motion
 from bayesid.regression.problem import Problem
 from bayesid.rounding import HALF, LEVEL
-from bayesid.validation.noise_floor import NoiseFloor
+from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import BAND, TOLERATED, in_band
 
 #: Share of the samples that a bound holds.
@@ -98,7 +98,8 @@ def remainder(problem: Problem, model: ReadingModel, floor: NoiseFloor | None = 
     """What the model leaves of recorded readings; None where none were recorded.
 
     They are those of motions of role ``validation`` and of those that were fitted; bounds are of the former where there are any.
-    Of the wrench the mean over a motion is left to the sensor's offset. ``floor`` is noise of the readings that were fitted.
+    Of the wrench the mean over a motion is left to the sensor's offset. ``floor`` is noise of the readings that were fitted; that
+    of others is measured.
     """
     readable = [m for m in problem.experiment.motions if m.name in problem.segments and m.kind != "poses"]
     with_readings = [m for m in readable if _read(model, m) is not None]
@@ -174,11 +175,11 @@ def _left(problem: Problem, model: ReadingModel, motion: Motion) -> Iterator[tup
 
 
 def _noise_below(problem: Problem, model: ReadingModel, floor: NoiseFloor | None, step: float) -> np.ndarray:
-    """Variance of the readings' noise below 10 Hz (c,), as far as something tells it; zero elsewhere."""
-    out, known = np.zeros(len(model.channels)), problem.row_model.channels.names
-    if floor is not None:
-        below = floor.below(BAND, problem.row_model.step) * min(step / problem.row_model.step, 1.0)
-        for k, name in enumerate(model.channels.names):
-            if name in known:
-                out[k] = below[known.index(name)]
-    return out
+    """Variance of the readings' noise below 10 Hz (c,); zero where nothing tells it."""
+    names, fitted = model.channels.names, problem.row_model.channels.names
+    if not set(names) <= set(fitted):  # then it is of all joints or of none
+        fitted, floor = names, noise_floor(problem, "wrench" if _is_wrench(model) else "torque")
+    if floor is None:
+        return np.zeros(len(names))
+    below = floor.below(BAND, problem.row_model.step) * min(step / problem.row_model.step, 1.0)
+    return below[[fitted.index(name) for name in names]]
