@@ -14,6 +14,7 @@ from bayesid.arguments import argument, call
 from bayesid.effects.built_in import CLASSES
 from bayesid.effects.families import SensorEffect
 from bayesid.errors import InputError
+from bayesid.recordings.complaints import listed
 from bayesid.results.export.identified import FoundEffect, IdentifiedRobot, draws_of, randomisation
 from bayesid.results.export.inverse_dynamics import InverseDynamics, cpp_header, inverse_dynamics, numpy_module
 from bayesid.results.export.simulators import HELD_BY_SDF, JointConstants, held_by_mujoco, joint_constants, mjcf, sdf
@@ -133,9 +134,10 @@ def _about(result: Identification | ExperimentPosterior | LoadedIdentification |
         if "effects" not in d:
             raise InputError(f"{result.path}: does not list the effects of its model, as earlier versions did not; run it again")
         robot, locked = robot_of(d, result.path)
-        name, channel, effects = d["experiment"], d["channel"], d["effects"]
+        name, channel, readings, effects = d["experiment"], d["channel"], tuple(d["fit"][0]["rmse"]), d["effects"]
     else:
         experiment, channel, effects = result.problem.experiment, result.problem.channel, result.effects()
+        readings = result.problem.row_model.channels.names
         name, robot, locked = experiment.name, experiment.robot, dict(experiment.locked)
     found = tuple(
         FoundEffect(
@@ -144,7 +146,7 @@ def _about(result: Identification | ExperimentPosterior | LoadedIdentification |
         )
         for e in effects
     )  # fmt: skip
-    return {"name": name, "channel": channel, "robot": robot, "locked": locked, "effects": found}
+    return {"name": name, "channel": channel, "readings": readings, "robot": robot, "locked": locked, "effects": found}
 
 
 def _of_draws(result: ExperimentPosterior | LoadedPosterior) -> IdentifiedRobot:
@@ -242,6 +244,10 @@ def _add_code(
     if found.channel == "wrench":
         made.warnings.append(
             "The sensor does not feel what acts inside the joints: friction is not in the torques of inverse_dynamics."
+        )
+    elif unread := [name for k, name in enumerate(found.robot.joint_names, 1) if f"tau{k}" not in found.readings]:
+        made.warnings.append(
+            f"No torque was read of {listed(unread)}: friction and what else acts inside are not in inverse_dynamics."
         )
     if model.covariance is None:
         made.warnings.append(f"{found.method} has no covariance, so the torques have no band; take another method, such as wls.")

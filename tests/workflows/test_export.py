@@ -182,6 +182,16 @@ def test_code_of_a_real_arm_predicts_as_the_estimate(name, shared, tmp_path):
     assert mujoco.MjModel.from_xml_string(exported["identified.xml"]).nv == made.robot.n
 
 
+def test_friction_of_joints_without_a_torque_is_said_to_be_missing(tmp_path):
+    made = arm(tmp_path, "puma2")
+    motions = [replace(m, table=replace(m.table, torques=m.table.torques * [1.0, np.nan])) for m in made.motions]
+    result = bayesid.identify(replace(made, motions=tuple(motions)), channel="torque", method="wls")
+    result.write(tmp_path / "saved")
+    for given in (result, tmp_path / "saved"):
+        (said,) = [text for text in bayesid.export(given, "numpy").warnings if "friction" in text]
+        assert said.startswith("No torque was read of joint2: ")
+
+
 def test_names_are_no_code(identified):
     """A name with quotes, or with a line's end, stays within its comment or its text."""
     robot = identified.problem.experiment.robot

@@ -50,6 +50,7 @@ class IdentifiedRobot:
     name: str
     method: str
     channel: str
+    readings: tuple[str, ...]  # names of these, such as ``tau1``
     robot: Robot  # kinematics
     locked: dict[str, float]  # position of joints that do not move, by name [rad or m]
     base: BaseParameters  # what the estimated base parameters are combinations of
