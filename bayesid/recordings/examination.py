@@ -17,12 +17,14 @@ from bayesid.recordings.motion import Motion
 from bayesid.recordings.motion_checks import (
     MATCH,
     MIN_SAMPLES,
+    TURN,
     check_trajectory,
     held_columns,
     held_findings,
     joint_columns,
+    wraps,
 )
-from bayesid.recordings.table import GAP, Table
+from bayesid.recordings.table import Table
 from bayesid.robot.robot import Robot
 
 _FAR_OUTSIDE = 4.0 * np.pi  # beyond a limit by this much [rad or m]: another unit
@@ -175,9 +177,7 @@ def check_intervals(
     return warnings
 
 
-_TURN = 2.0 * np.pi
-#: A step from one sample to the next that is a whole number of turns up to this is a wrap, for no joint goes that far in one, and
-#: angles beyond a limit by less than this are near it [rad].
+#: Angles beyond a limit by less than this are near it [rad].
 _SLACK = 0.5
 
 
@@ -191,20 +191,20 @@ def unwrapped(table: Table, robot: Robot, kind: str) -> tuple[Table, str | None]
     for j in np.flatnonzero(~robot.prismatic).tolist():
         q = table.positions[:, j]
         if kind == "trajectory":
-            jumps = _wraps(table.times, q, table.step)
+            jumps = wraps(table.times, q, table.step)
             if jumps.any():
                 wrapped[j] = float(table.times[np.argmax(jumps != 0.0)])
-                q = q - _TURN * np.append(0.0, np.cumsum(jumps))
+                q = q - TURN * np.append(0.0, np.cumsum(jumps))
         whole = _turns_off(q, float(robot.lower[j]), float(robot.upper[j]), kind == "trajectory")
         if np.any(whole):
             shifted.append(j)
-        positions[:, j] = q - _TURN * whole
+        positions[:, j] = q - TURN * whole
     if not wrapped and not shifted:
         return table, None
     commanded = table.commanded
     if commanded is not None:
-        turns = np.round((positions - commanded) / _TURN) * ~robot.prismatic
-        commanded = commanded + _TURN * turns
+        turns = np.round((positions - commanded) / TURN) * ~robot.prismatic
+        commanded = commanded + TURN * turns
     joints = sorted({*wrapped, *shifted})
     place = f"{table.source}: {joint_columns(robot, joints)}"
     if wrapped:
@@ -216,17 +216,6 @@ def unwrapped(table: Table, robot: Robot, kind: str) -> tuple[Table, str | None]
     return replace(table, positions=positions, commanded=commanded), f"{notes}: the same poses"
 
 
-def _wraps(times: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
-    """Turns in each step of an angle (N - 1,); zeros where it nowhere wraps within a sample."""
-    steps = np.diff(q)
-    turns = np.round(steps / _TURN)
-    gap = np.diff(times) > GAP * step
-    within = (turns != 0.0) & (np.abs(steps - _TURN * turns) < _SLACK) & ~gap
-    if not within.any():
-        return np.zeros(len(steps))
-    return np.where(within | gap, turns, 0.0)
-
-
 def _turns_off(q: np.ndarray, lower: float, upper: float, together: bool) -> np.ndarray | float:
     """Turns to be taken off angles that are outside the limits and would be inside without: one number, or one an angle (N,)."""
     if not np.isfinite([lower, upper]).all():
@@ -234,7 +223,7 @@ def _turns_off(q: np.ndarray, lower: float, upper: float, together: bool) -> np.
     low, high = (q.min(), q.max()) if together else (q, q)
 
     def excess(turns: float | np.ndarray) -> np.ndarray:
-        return np.maximum(high - _TURN * turns - upper, lower - low + _TURN * turns)
+        return np.maximum(high - TURN * turns - upper, lower - low + TURN * turns)
 
     whole = np.where(high > upper, 1.0, -1.0)
     return np.where((excess(0.0) > _LIMIT_SLACK) & (excess(whole) < _SLACK), whole, 0.0)

@@ -27,6 +27,22 @@ _DUE = 0.25  # of the time between changes; at least a row
 #: Jitter beyond this share of a step, or a drift of the step by it, is reported.
 REPORTED = 0.1
 
+TURN = 2.0 * np.pi
+#: A step from one sample to the next that is a whole number of turns up to this is a wrap, for no joint goes that far in one
+#: [rad].
+_WRAP = 0.5
+
+
+def wraps(times: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
+    """Turns in each step of an angle (N - 1,); zeros where it nowhere wraps within a sample."""
+    steps = np.diff(q)
+    turns = np.round(steps / TURN)
+    gap = np.diff(times) > GAP * step
+    within = (turns != 0.0) & (np.abs(steps - TURN * turns) < _WRAP) & ~gap
+    if not within.any():
+        return np.zeros(len(steps))
+    return np.where(within | gap, turns, 0.0)
+
 
 def held_columns(table: Table) -> dict[str, float]:
     """Columns of which samples are held for several rows each, how many, while they change by far more than a count."""

@@ -341,18 +341,11 @@ def _lag(signal: Signal, positions: Signal) -> tuple[float, float] | None:
     """The lag of velocities behind the positions' rates, or of commands behind the positions (negative: ahead)."""
     shared = [k for k, ours in enumerate(positions.ours) if f"{signal.quantity}{ours[1:]}" in signal.ours]
     columns = [signal.ours.index(f"{signal.quantity}{positions.ours[k][1:]}") for k in shared]
-    there = ~np.isnan(signal.values).any(axis=1)
-    known = ~np.isnan(positions.values).any(axis=1)
-    times, values = positions.times[known], positions.values[known][:, shared]
-    if len(times) < 20 or not there.any() or not shared or positions.gaps():
+    (later, late, _), (times, values, _) = signal.unwrapped(), positions.unwrapped()
+    values = values[:, shared]
+    if len(times) < 20 or not len(later) or not shared or positions.gaps():
         return None
     bandwidth = min(_COURSE, 0.2 / positions.step)
     smoothed = smooth(times, values - values.mean(axis=0), bandwidth)
     course, rate = (CubicSpline(times, smoothed[k]) for k in ((1, 2) if signal.quantity == "v" else (0, 1)))
-    return lag(
-        signal.times[there],
-        signal.values[there][:, columns],
-        lambda at: (course(at), rate(at)),
-        float(times[0]),
-        float(times[-1]),
-    )
+    return lag(later, late[:, columns], lambda at: (course(at), rate(at)), float(times[0]), float(times[-1]))

@@ -132,8 +132,7 @@ def join(signals: Sequence[Signal], source: str) -> Joined:
 
 def _brought(signal: Signal, base: Signal) -> tuple[np.ndarray, np.ndarray, str]:
     """A signal at the times of another: values (N, k), which rows it has them for (N,), and what was done."""
-    rows = ~np.isnan(signal.values).any(axis=1)
-    times, values, at = signal.times[rows], signal.values[rows], base.times
+    (times, values, wrapped), at = signal.unwrapped(), base.times
     if len(times) < 2:
         return np.full((len(at), values.shape[1]), np.nan), np.zeros(len(at), bool), f"{signal.called}: a single sample"
     right = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
@@ -148,7 +147,8 @@ def _brought(signal: Signal, base: Signal) -> tuple[np.ndarray, np.ndarray, str]
         integral = make_interp_spline(times, values, k=1).antiderivative()
         mean = (integral(high) - integral(low)) / width
         return mean, there, f"{signal.called}: mean over {1e3 * base.step:.3g} ms about each row ({ratio:.3g} samples)"
-    return _interpolated(times, values, at, signal.step), there, f"{signal.called}: interpolated (cubic splines)"
+    how = f"{signal.called}: {'angles wrap at a full turn; unwrapped and ' * wrapped}interpolated (cubic splines)"
+    return _interpolated(times, values, at, signal.step), there, how
 
 
 def _interpolated(times: np.ndarray, values: np.ndarray, at: np.ndarray, step: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from bayesid.recordings.importing.clock import RowTimes
 from bayesid.recordings.importing.column_map import NEED_CONSTANT, UNITS, ColumnMap, quantity_of
 from bayesid.recordings.importing.found_columns import FoundColumn, Layout
 from bayesid.recordings.importing.stream import Stream
-from bayesid.recordings.motion_checks import Timing, rows_held
+from bayesid.recordings.motion_checks import TURN, Timing, rows_held, wraps
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table, check_increasing
 from bayesid.recordings.toml_file import LARGEST
 
@@ -63,6 +63,18 @@ class Signal:
         if len(self.times) < 3:
             return None
         return Timing.of(Table(times=self.times, positions=np.zeros((len(self.times), 1))))
+
+    def unwrapped(self) -> tuple[np.ndarray, np.ndarray, bool]:
+        """Times (m,) and values (m, k) of the rows with a reading, angles without wraps at a turn, and whether there were any.
+
+        What lies between two samples may be taken from these only: between those on either side of a wrap is a whole turn.
+        """
+        rows = ~np.isnan(self.values).any(axis=1)
+        times, values = self.times[rows], self.values[rows]
+        if self.quantity not in ("q", "qr"):
+            return times, values, False
+        turns = np.array([np.append(0.0, np.cumsum(wraps(times, column, self.step))) for column in values.T]).T
+        return times, values - TURN * turns, bool(turns.any())
 
     def gaps(self) -> list[tuple[float, float]]:
         """Start and end of each gap [s]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,19 @@ def test_positions_of_a_faster_or_shifted_topic_are_interpolated_to_the_readings
         left = np.abs(joined.values["q"][:, 0] - np.sin(W * joined.times))[inner]
         assert left.max() < 5.0 / 384.0 * (W / rate) ** 4 * 1.1
         np.testing.assert_array_equal(joined.values["wrench"][:, 0], np.sin(W * joined.times))
+
+
+@pytest.mark.parametrize("quantity", ["q", "qr"])
+@pytest.mark.parametrize("hole", [(0.0, 0.0), (3.0, 3.5)])
+def test_angles_that_wrap_are_interpolated_as_if_they_did_not(quantity, hole):
+    """A joint that turns round and round passes no angle in between where its reading jumps by a turn."""
+    fast = signal(quantity, 500.0, hole=hole)
+    course = 2.5 * fast.times[:, None] + 0.3 * fast.values
+    turning, wrapped = (replace(fast, values=x) for x in (course, (course + np.pi) % (2.0 * np.pi) - np.pi))
+    rows = signal("wrench", 100.0, start=0.0007)
+    exact, joined = join([turning, rows], "log"), join([wrapped, rows], "log")
+    np.testing.assert_allclose(joined.values[quantity], exact.values[quantity], atol=1e-12)
+    assert "angles wrap at a full turn; unwrapped and interpolated" in joined.how[0] and "wrap" not in exact.how[0]
 
 
 def test_nothing_is_filled_in_across_a_gap_or_beyond_an_end():
