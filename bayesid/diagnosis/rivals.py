@@ -18,6 +18,7 @@ from bayesid.diagnosis.forward import State, exact_fits, in_family, is_surrogate
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.projector import orthonormal
 from bayesid.effects import Term
+from bayesid.effects.bodies import body_of
 from bayesid.errors import EstimationError
 from bayesid.estimators.conic.problem import nearest_body
 from bayesid.robot import inertia
@@ -194,9 +195,10 @@ def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]
     distance = np.sum((axes.T @ ((body - values) / size)[shown]) ** 2 / spread)
     if chi2.sf(distance, len(spread)) < 1.0 - fitted.projector.data.settings.interval:
         return term, 0.0
-    effect = next(e for e in fitted.projector.data.places(name) if e.where == term.effect.where)
-    joint = effect.joint or 0
-    return Term(effect, tuple(map(float, body))), _rarity(fitted.projector.data.links[10 * joint : 10 * joint + 10])
+    data = fitted.projector.data
+    effect = next(e for e in data.places(name) if e.where == term.effect.where)
+    link = data.links.reshape(-1, 10)[body_of(data.robot, effect.joint or 0)]
+    return Term(effect, tuple(map(float, body))), _rarity(link)
 
 
 def _rarity(link: np.ndarray) -> float:

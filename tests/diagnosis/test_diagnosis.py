@@ -6,6 +6,7 @@ import importlib
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -38,6 +39,8 @@ from bayesid.effects import EffectLibrary, Term, columns
 from bayesid.effects.families import needs_no_load
 from bayesid.recordings.experiment import load_experiment
 from bayesid.robot.prior import Prior
+from bayesid.robot.robot import load_robot
+from tests.robots import wrist_sensor_arm, write
 
 PLANT = Path(__file__).parents[2] / "case_studies" / "blind_naming"
 
@@ -355,6 +358,28 @@ def test_a_diverged_model_is_refused(record, monkeypatch):
         assert rivals.as_payload(diverged, 0, 1.0) == (diverged.terms[0], 0.0)
     models = NoiseModels.of(0, (), library)
     assert forward.exact_fits(models, base, (), [replace(p, gain=1e3) for p in proposals], 1.0)[1] == []
+
+
+def test_a_payload_is_as_rare_as_changes_of_what_a_sensor_weighs(tmp_path):
+    """Where a sensor splits the link, a body hangs on the far part, and that part's changes are what it is told from."""
+    robot = load_robot(write(tmp_path, wrist_sensor_arm()), sensor_joint="wrist_ft")
+    library, names = EffectLibrary(), ("fx", "fy", "fz", "mx", "my", "mz")
+
+    def places(name):
+        return library.places(name, robot.joint_names, names)
+
+    data = SimpleNamespace(robot=robot, links=robot.nominal.ravel(), places=places, settings=DEFAULT)
+    change = Term(places("inertia_error")[-1], tuple(robot.nominal[-1]))
+    found = SimpleNamespace(
+        terms=(change,),
+        score=0.0,
+        free=[(0, k) for k in range(10)],
+        covariance=1e-8 * np.eye(10),
+        projector=SimpleNamespace(data=data),
+    )
+    term, bonus = rivals.as_payload(found, 0, 1.0)
+    assert term.effect.spec == "payload@joint6"
+    assert bonus == rivals._rarity(robot.nominal[-1]) != rivals._rarity(robot.nominal[5])
 
 
 def test_a_changed_link_is_priced_by_its_marginal_likelihood(record):

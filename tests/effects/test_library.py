@@ -80,5 +80,6 @@ def test_parameters_along_a_sliding_joint_have_its_units(slider):
     assert units("torque_ripple") == [("N", "1/m", "rad"), ("N m", "1/rad", "rad")] * 2
     assert units("joint_flexibility") == [("m/N",), ("rad/(N m)",)] * 2
     assert units("rotor_inertia") == [("kg",), ("kg m^2",)] * 2
+    assert units("rotor_momentum") == [("kg m",), ("kg m^2",)] * 2  # a screw turns by the gear ratio a metre
     assert len(set(units("payload"))) == 1 and "kg m^2" in units("payload")[0]
     assert library.with_classes([], "test").sliding == (0, 2)
