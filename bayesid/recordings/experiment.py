@@ -30,6 +30,7 @@ from bayesid.recordings.schema import (
     model_parts,
     read_file,
     read_model,
+    unlisted_values,
 )
 from bayesid.recordings.stored import StoredTable, stored_table
 from bayesid.recordings.table import WRENCH_COLUMNS, Table
@@ -467,6 +468,7 @@ def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment
         sensor = Sensor(**given)
     effects, values, expressions = model_parts(file.model)
     effects, values = with_stated_effects(robot, effects if "effects" in file.model.model_fields_set else None, values)
+    warnings += unlisted_values(effects, values, robot.joint_names)
     experiment = Experiment(
         name=file.name, robot=robot, sensor=sensor, motions=(), effects=effects, effect_values=values,
         inertia_rel_std=file.robot.inertia_rel_std, position_resolution=file.robot.position_resolution,

@@ -6,7 +6,7 @@ Nothing here reads a table or a robot: these models know keys, types and ranges 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -207,14 +207,24 @@ def check_keys(file: ExperimentFile) -> list[str]:
     if not 9.7 < strength < 9.9:
         warnings.append(f"experiment.toml: [robot] gravity: {strength:.4g} m/s^2 is not the Earth's; correct it unless meant")
     warnings += _sizes(file)
-    listed = {effect.partition("@")[0] for effect in file.model.effects if "@" not in effect} | set(file.model.effects)
-    for effect in file.model.values:
-        if effect not in listed and effect.partition("@")[0] not in listed:
-            warnings.append(
-                f'experiment.toml: [model.values."{effect}"]: effects does not list it; add it there, unless '
-                f"{argument('effects')} is to"
-            )
     return warnings
+
+
+def unlisted_values(effects: Iterable[str], values: Iterable[str], joints: Sequence[str]) -> list[str]:
+    """Warnings of values that are of no effect of the model, listed by number or name of its joint, or for all of its kind."""
+    listed = {_by_number(effect, joints) for effect in effects}
+    names = {effect.partition("@")[0] for effect in listed}
+    return [
+        f'experiment.toml: [model.values."{value}"]: effects does not list it; add it there, unless {argument("effects")} is to'
+        for value in values
+        if not ({_by_number(value, joints), value.partition("@")[0]} & listed or value in names)
+    ]
+
+
+def _by_number(effect: str, joints: Sequence[str]) -> str:
+    """``tether@joint3`` for ``tether@elbow``, where that is the third joint."""
+    name, at, where = effect.partition("@")
+    return name + at + "->".join(f"joint{joints.index(w) + 1}" if w in joints else w for w in where.split("->"))
 
 
 def _sizes(file: ExperimentFile) -> list[str]:

@@ -313,7 +313,7 @@ class Watched:
     def gap(self) -> float:
         """What the reference leaves of the recording, in what the recording's own fit leaves; nan where not compared."""
         errors = None if self.comparison is None else self.comparison.errors
-        return float("nan") if errors is None else float(np.sqrt(errors.reference / errors.floor))
+        return float("nan") if errors is None else float(np.sqrt(errors.reference))
 
     @property
     def evidence(self) -> float:
@@ -348,7 +348,7 @@ class Watched:
         p = self.comparison.errors
         return strict({
             **out, "effects": [change_dict(x) for x in self.changes], "gap": self.gap,
-            "gap_left": float(np.sqrt((p.after if self.changes else p.tolerance) / p.floor)),
+            "gap_left": float(np.sqrt(p.after if self.changes else p.tolerance)),
             "largest_log_evidence": self.evidence, "left": [left_dict(x) for x in self.left],
             "times_noise": self.times_noise,
         })  # fmt: skip

@@ -11,7 +11,9 @@ from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
 from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.dynamics.regressors import Kernel
+from bayesid.recordings.experiment import Sensor
 from tests.design.test_excitation import QUICK, experiment_of
+from tests.robots import prismatic_arm, write
 
 
 def wrench_rows(robot, motion, columns=None):
@@ -45,6 +47,14 @@ def test_deviation_of_torques_is_that_of_dense_algebra(tmp_path):
     expected = np.sqrt(np.sum((torque.reshape(-1, root.shape[0]) @ root) ** 2) / (6 * len(other.times)))
     # Averages are over samples, torques of one sample added up; the root mean square of one torque is 1 / sqrt(6) of it.
     assert task.quantity_stds(series)[0] == pytest.approx(expected, rel=0.02)
+
+
+def test_torques_of_sliding_joints_are_forces(tmp_path):
+    robot = bayesid.load_robot(write(tmp_path, prismatic_arm()))
+    bayesid.write_trajectory(bayesid.fourier_trajectory(robot, duration=4.0, rate=20.0), tmp_path / "other.csv")
+    arm = bayesid.Experiment("arm", robot, (), Sensor())
+    task, _ = make_task(arm, ExcitationOptions(channel="torque", quantities=(f"torque@{tmp_path / 'other.csv'}",)))
+    assert [q.unit for q in task.quantities] == ["N or N m"]
 
 
 def test_deviation_of_a_payload_is_that_of_dense_algebra(tmp_path):

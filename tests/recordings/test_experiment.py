@@ -40,6 +40,27 @@ def table_arrays(table: Table) -> dict[str, np.ndarray]:
 # Reading.
 
 
+@pytest.mark.parametrize(
+    ("listed", "stated", "doubted"),
+    [
+        ("tether@joint2", "tether@elbow", False),
+        ("tether@elbow", "tether@joint2", False),
+        ("tether@elbow", "tether", False),
+        ("tether", "tether@elbow", False),
+        ("sensor_crosstalk@fx->mz", "sensor_crosstalk@fx->mz", False),
+        ("load_torque@shoulder->elbow", "load_torque@joint1->joint2", False),
+        ("tether@shoulder", "tether@joint2", True),
+        ("spring", "tether", True),
+    ],
+)
+def test_values_are_those_of_an_effect_by_any_of_its_names(folder: Path, listed: str, stated: str, doubted: bool) -> None:
+    text = (folder / "experiment.toml").read_text(encoding="utf-8")
+    assert text.count('effects = ["sensor_offset"]') == 1
+    text = text.replace('effects = ["sensor_offset"]', f'effects = ["{listed}"]\n\n[model.values."{stated}"]\nfixed = true')
+    (folder / "experiment.toml").write_text(text, encoding="utf-8")
+    assert any("effects does not list it" in w for w in load_experiment(folder).warnings) == doubted
+
+
 def test_everything_in_the_file_is_read(folder: Path) -> None:
     toml("[[motion]]", "[model.values.sensor_offset]\nfx = 2\nfixed = true\n\n[[motion]]")(folder)
     experiment = load_experiment(str(folder))

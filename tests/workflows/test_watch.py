@@ -36,8 +36,9 @@ def test_the_first_recording_with_the_tool_is_told(watched, series, tmp_path):
     for w in watched.recordings[2:]:
         mass = w.changes[0].values[0]
         assert abs(mass.value - 0.5) < 3.0 * mass.std
-    alone = bayesid.diagnose(series[3], reference=series[0]).comparison
-    assert watched.recordings[2].comparison.scores[0][1] == pytest.approx(alone.scores[0][1], rel=1e-12)
+    alone = bayesid.diagnose(series[3], reference=series[0])
+    assert watched.recordings[2].comparison.scores[0][1] == pytest.approx(alone.comparison.scores[0][1], rel=1e-12)
+    assert watched.recordings[2].gap == pytest.approx(alone.to_dict()["gap"]["before"], rel=1e-12)
     page = watched.write(tmp_path / "out").read_text(encoding="utf-8")
     assert page.count("<svg") == 3 and "day4" in page
     told = json.loads((tmp_path / "out" / "watch.json").read_text(encoding="utf-8"))

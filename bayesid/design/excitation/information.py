@@ -334,7 +334,7 @@ def _torque(text: str, file: str, experiment: Experiment, information: Informati
         )
     # The factor of F'F has the same sum of variances as the many rows F.
     factor = np.linalg.qr(functions, mode="r") / np.sqrt(len(functions))
-    return JudgedQuantity(text, "N m", information, factor.T)
+    return JudgedQuantity(text, " or ".join(dict.fromkeys(channels.units)), information, factor.T)
 
 
 def _payload(text: str, where: str, experiment: Experiment, information: Information) -> JudgedQuantity:
