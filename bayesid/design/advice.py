@@ -11,7 +11,7 @@ import numpy as np
 from bayesid.arguments import call
 from bayesid.design.identifiability import WEAK, PlannedMotions, SetReport, report_of, richest_base
 from bayesid.design.reading_noise import ReadingNoise
-from bayesid.dynamics.base_parameters import BaseParameters, unseen
+from bayesid.dynamics.base_parameters import BaseParameters, further
 from bayesid.recordings.experiment import Motion
 from bayesid.recordings.table import GAP
 from bayesid.regression.readings import make_channels
@@ -79,7 +79,7 @@ def _motion(plan: PlannedMotions, main: SetReport) -> list[Advice]:
         rest = richest_base(robot, channels, main.sensor_set, at_rest=True)
         if rest.rank > found.rank:
             more = rest.rank - found.rank
-            text = f"More poses, each joint in several places, would show {more} more: {listed(unseen(rest, found))}."
+            text = f"More poses, each joint in several places, would show {more} more: {listed(further(rest, found))}."
             out.append(Advice("motion", text, more))
         more = most - max(rest.rank, found.rank)
         text = f"The robot only stands while it is read; moving it would show {more} more, above all inertias."
@@ -92,14 +92,14 @@ def _motion(plan: PlannedMotions, main: SetReport) -> list[Advice]:
     moved = []
     for j in np.flatnonzero(np.isfinite(plan.still)).tolist():
         freed = reachable(np.where(np.arange(robot.n) == j, np.nan, plan.still))
-        moved.append((freed.rank - held.rank, robot.joint_names[j], unseen(freed, held)))
+        moved.append((freed.rank - held.rank, robot.joint_names[j], further(freed, held)))
     for gain, joint, labels in sorted(moved, key=lambda m: -m[0]):
         if gain:
             out.append(Advice("joint", f"{joint} stood still; moving it would show {gain} more: {listed(labels)}.", gain))
     if held.rank > found.rank:
         more = held.rank - found.rank
         text = (
-            f"The joints that move could show {more} more if they moved independently: {listed(unseen(held, found))}. "
+            f"The joints that move could show {more} more if they moved independently: {listed(further(held, found))}. "
             "Give each its own course, with several frequencies and fast reversals."
         )
         out.append(Advice("motion", text, more))
@@ -112,7 +112,7 @@ def _effects(reports: Sequence[SetReport], main: SetReport) -> list[Advice]:
     lost = main.shown.without_effects.rank - main.rank
     out = []
     if lost:
-        labels = listed(unseen(main.shown.without_effects, main.shown.base))
+        labels = listed(further(main.shown.without_effects, main.shown.base))
         text = (
             f"Effects in the model look like {lost} combination{'s' if lost > 1 else ''} of the links: {labels}. "
             "State their values with fixed = true, or leave out those that are not needed."
@@ -137,10 +137,10 @@ def _sensors(reports: Sequence[SetReport], main: SetReport) -> list[Advice]:
         if gain not in gains:
             gains.add(gain)
             there = "" if r.recorded else ", if read,"
-            text = f"{_sentence(r.sensor_set.title)}{there} would show {gain} more: {listed(unseen(r.richest, own))}."
+            text = f"{_sentence(r.sensor_set.title)}{there} would show {gain} more: {listed(further(r.richest, own))}."
             out.append(Advice("sensor", text, gain))
     torque = next((r.richest for r in reports if r.sensor_set.channel == "torque"), None)
-    if own is not None and torque is not None and main.sensor_set.channel == "wrench" and not unseen(torque, own):
+    if own is not None and torque is not None and main.sensor_set.channel == "wrench" and not further(torque, own):
         text = "Joint torques show no further combination of link parameters; they would tell of friction and rotors."
         out.append(Advice("sensor", text))
     return out

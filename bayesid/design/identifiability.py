@@ -14,7 +14,7 @@ import numpy as np
 
 from bayesid.design.expected import Expected, expect
 from bayesid.design.reading_noise import ReadingNoise, SensorSet
-from bayesid.dynamics.base_parameters import BaseParameters, regroup, structural_base, unseen
+from bayesid.dynamics.base_parameters import BaseParameters, further, regroup, structural_base
 from bayesid.dynamics.channels import Channels
 from bayesid.effects.surroundings import STILL
 from bayesid.posterior.result import PRIOR_DRIVEN
@@ -318,7 +318,7 @@ def set_report(
     return SetReport(
         sensor_set=sensor_set, recorded=True, noise=noise, noise_std=noise_std, richest=richest,
         condition_number=found.condition, parameters=tuple(links), base_parameters=bases,
-        unexcited=() if richest is None else unseen(richest, found.without_effects), effects=tuple(effects),
+        unexcited=() if richest is None else further(richest, found.without_effects), effects=tuple(effects),
         expected=expected, shown=found,
     )  # fmt: skip
 

@@ -177,6 +177,18 @@ def unseen(wider: BaseParameters, found: BaseParameters) -> tuple[str, ...]:
     return tuple(label for label, g in zip(wider.labels, gone, strict=True) if g)
 
 
+def further(wider: BaseParameters, found: BaseParameters) -> tuple[str, ...]:
+    """Labels of combinations beyond those found and beyond each other: one for each that the wider ones show more."""
+    basis, out = np.linalg.qr(found.matrix.T)[0], []
+    for label, row in zip(wider.labels, wider.matrix, strict=True):
+        rest = row - basis @ (basis.T @ row)
+        rest -= basis @ (basis.T @ rest)
+        if np.linalg.norm(rest) > 1e-4 * np.linalg.norm(row):
+            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+            out.append(label)
+    return tuple(out)
+
+
 def _order(name: str, position: int) -> tuple:
     """Masses last of all; otherwise link by link in the order of the parameters, then by preference."""
     kind = name.rsplit(".", 1)[-1]

@@ -140,6 +140,7 @@ class Problem:
     rows: MotionRows  # the rows of every motion, whether it is read in chunks or not
     fitted: tuple[str, ...]  # names of the motions that are fitted
     static: str  # ``motion`` where a static run has been subtracted, ``joint`` where static readings are fitted along, ``none``
+    subtracts: bool  # whether static runs are subtracted where motions have them
     #: The model's effects as they were named, ``name`` or ``name@where``; those nobody needs to name first.
     effects: tuple[str, ...] = ()
     #: Effects of `FitOptions.effects` that show in none of these readings, and so are not in the model.
@@ -211,10 +212,19 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
         segments=segments,
         rows=rows,
         fitted=names,
-        static="none" if all(m.static is None for m in chosen) or channel == "torque" else ("motion" if subtract else "joint"),
+        static=_static(chosen, fitted, channel),
+        subtracts=subtract,
         effects=structure.specs,
         unseen=() if options.effects is None else structure.unseen,
     )
+
+
+def _static(motions: Sequence[Motion], segments: Sequence[Segment | LongSegment], channel: str) -> str:
+    """What has become of the static readings of motions: those that do not repeat a motion row by row are fitted along."""
+    if any(not s.gravity for s in segments):
+        return "motion"
+    along = channel == "wrench" and any(m.static is not None and m.static.wrench is not None for m in motions)
+    return "joint" if along else "none"
 
 
 def row_step(bandwidth: float, fastest: float = np.inf) -> float:
@@ -318,7 +328,7 @@ def elsewhere(problem: Problem, other: Experiment) -> Problem:
     readable = [m for m in other.motions if has_readings(m.table, problem.channel) and {*needed} <= {*m.table.torque_joints}]
     if not readable:
         raise InputError(f"experiment {other.name}: no motion has the readings that were fitted ({problem.channel})")
-    subtract, channels = problem.static == "motion", row_model.channels
+    channels, subtract = row_model.channels, problem.subtracts
     segments = {m.name: motion_segments(recorded, channels, m, k, problem.channel, subtract) for k, m in enumerate(readable)}
     segments = _settling(segments, row_model.effects)
     for motion in readable:

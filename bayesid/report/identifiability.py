@@ -121,7 +121,7 @@ def identifiability_report(result: Identifiability) -> str:
         sections.append(ShownSection("Telling effects apart", [
             "One effect at its usual size is the truth, the other is fitted in its stead, links and all else in the model "
             "with it. Seen alone: by how many squared standard deviations the readings then differ from a model without "
-            "left: from the best fit of the other. The probability is that the evidence rules the other out; told from: the "
+            "it; left: from the best fit of the other. The probability is that the evidence rules the other out; told from: the "
             "share of the usual size from which it does so with 95 % probability.",
             results.pair_table(result),
         ]))  # fmt: skip

@@ -230,7 +230,7 @@ def effect_lines(report: SetReport) -> list[tuple[str, str]]:
         stds = sorted(e.std for e in members if e.std is not None)
         hidden = [e.name.rpartition(".")[0].partition("@")[2] for e in members if e.std is None]
         ends = " to ".join(number(s, 3) for s in (stds if len(stds) < 2 else (stds[0], stds[-1])))
-        said = f"± {ends} {powers(unit_text(members[0].unit))}".rstrip() if stds else ""
+        said = f"standard deviation {ends} {powers(unit_text(members[0].unit))}".rstrip() if stds else ""
         lost = f"not determined beside the links at {', '.join(hidden)}" if hidden else ""
         lines.append((name, "; ".join(part for part in (said, lost) if part)))
     return lines

@@ -131,7 +131,7 @@ def _with_usual_model(problem: Problem, channel: str) -> Problem:
         return problem
     motions = tuple(replace(m, stored=None) for m in problem.experiment.motions)
     fitted = [m.name for m in motions if m.name in problem.fitted and same] or None
-    static = "joint" if problem.static == "joint" else "motion"
+    static = "motion" if problem.subtracts else "joint"
     options = FitOptions(channel, motions=fitted, effects=usual, static=static)
     try:
         return prepare(replace(problem.experiment, motions=motions), options)

@@ -176,7 +176,7 @@ def _bench(
     smoother = problem.smoother
     own = FitOptions(
         problem.channel, problem.row_model.filters, problem.fitted, problem.effects,
-        "joint" if problem.static == "joint" else "motion", smoother.bandwidth if smoother.reason == "as given" else None,
+        "motion" if problem.subtracts else "joint", smoother.bandwidth if smoother.reason == "as given" else None,
     )  # fmt: skip
     return make_bench(problem.experiment, estimator(method or estimate.method), own, problem, estimate, nominal=nominal)
 

@@ -200,6 +200,27 @@ def test_expected_errors_are_those_that_identify_states(tmp_path):
     np.testing.assert_allclose([b.std for b in planned["wrench-offset"].base_parameters], expected, rtol=0.1)
 
 
+def test_poses_read_beside_a_motion_are_one_reading_each(tmp_path):
+    """No run is subtracted, so that the noise of a row is that of one reading and not half of a difference's."""
+    robot = puma2(tmp_path)
+    motion, sensor = fourier(robot, 5), bayesid.Sensor(translation=np.array([0.0, 0.0, -0.1]))
+    noise = {"force_std": 0.5, "torque_std": 0.05}
+    table = recording(robot, sensor, motion, **noise, offset=3.0, seed=2)
+    still = recording(robot, sensor, tuple(x[::100] for x in motion), **noise, offset=3.0, seed=3, static=True)
+    found = bayesid.identifiability(experiment(robot, [bayesid.Motion("one", "identification", table, static=still)], sensor))
+    report = found["wrench-offset"]
+    assert report.recorded and found.main is report
+    np.testing.assert_allclose(list(report.noise_std.values()), np.repeat([0.5, 0.05], 3), rtol=0.1)
+
+
+def test_advice_names_as_many_combinations_as_it_counts(tmp_path):
+    robot = load_robot(write(tmp_path, robots.prismatic_arm()))
+    found = bayesid.identifiability(robot, sensor_sets=["wrench-offset", "wrench"])
+    (known,) = (a for a in found.advice if a.about == "sensor" and a.gain)
+    _, _, named = known.text.partition(" more: ")
+    assert known.gain == 1 and named and ";" not in named
+
+
 def test_rows_without_a_robot(tmp_path):
     rng = np.random.default_rng(1)
     matrix = rng.normal(size=(400, 2, 5))

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -107,7 +109,11 @@ def test_static_run_removes_offset_and_gravity(tmp_path):
     assert subtracted.static == "motion" and not subtracted.row_model.effects and subtracted.row_model.base.rank == 12
     along = prepare(with_static, FitOptions(static="joint"))
     assert along.static == "joint" and [e.name for e in along.row_model.effects] == ["sensor_offset"]
-    for problem in (subtracted, along):
+    poses = recording(robot, SENSOR, tuple(x[::50] for x in motion), offset=offset, static=True)
+    with_poses = prepare(replace(with_static, motions=(replace(with_static.motions[0], static=poses),)))
+    assert with_poses.static == "joint" and any(s.poses for s in with_poses.segments["a"])
+    assert prepare(with_static, FitOptions("both")).static == prepare(with_static, FitOptions("torque")).static == "none"
+    for problem in (subtracted, along, with_poses):
         estimate = fit(problem.regression, "ols")
         np.testing.assert_allclose(estimate.values, problem.row_model.base.matrix @ robot.nominal.ravel(), atol=1e-3)
 
