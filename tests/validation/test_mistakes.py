@@ -22,7 +22,7 @@ from bayesid.regression.readings import make_channels
 from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
 from bayesid.validation.mistakes.candidates import candidates, of_wrench
-from bayesid.validation.mistakes.evidence import Change, Explainer, body_generators, independent_samples
+from bayesid.validation.mistakes.evidence import Change, Explainer, _non_negative, body_generators, independent_samples
 from bayesid.validation.mistakes.from_data import orders
 from bayesid.validation.mistakes.samples import low_passed
 from bayesid.validation.mistakes.search import MistakeSearch, find_mistakes
@@ -454,3 +454,9 @@ LIFT = """<robot name="lift"><link name="base"/>
 <link name="arm"><inertial><origin xyz="0.3 0 0"/><mass value="2"/>
 <inertia ixx="0.01" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/>
 </inertial></link></robot>"""
+
+
+def test_what_no_reading_shows_is_rounding_of_either_sign():
+    squares = np.diag([4.0, -1e-18, 1.0])
+    np.testing.assert_allclose(_non_negative(squares, np.array([8.0, 0.0, -3.0]), 0.0), [2.0, 0.0, 0.0])
+    np.testing.assert_array_equal(_non_negative(np.zeros((2, 2)), np.zeros(2), 0.0), 0.0)

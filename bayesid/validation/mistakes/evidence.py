@@ -453,11 +453,13 @@ def _alone(design: Design, readings: np.ndarray) -> np.ndarray:
 
 def _non_negative(squares: np.ndarray, products: np.ndarray, ridge: float) -> np.ndarray:
     """Least squares with factors that are not negative, from its normal equations."""
-    size = np.sqrt(np.diag(squares))
+    size = np.sqrt(np.maximum(np.diag(squares), 0.0))  # rounding of what no reading shows is of either sign
     seen = size > 1e-9 * size.max()
+    out = np.zeros(len(size))
+    if not seen.any():  # SciPy's solver ends the whole process on an empty matrix
+        return out
     scaled = squares[np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
     root = cholesky(scaled + ridge * np.eye(len(scaled)))
-    out = np.zeros(len(size))
     out[seen] = nnls(root, solve_triangular(root, products[seen] / size[seen], trans=1))[0] / size[seen]
     return out
 
