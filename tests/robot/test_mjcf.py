@@ -114,6 +114,15 @@ def test_a_robot_comes_back_from_its_export(name, tmp_path):
     np.testing.assert_allclose(limits[0], limits[1])
 
 
+def test_a_turntable_whose_bias_forces_are_rounding_alone_is_read_and_exported(tmp_path):
+    inside = '<joint name="turn" axis="0 0 1"/><geom type="box" size="0.1 0.2 0.3" pos="0.2 0.1 0" euler="20 30 40"/>'
+    path = tmp_path / "table.xml"
+    path.write_text(f'<mujoco><worldbody><body name="table" euler="0 0 50">{inside}</body></worldbody></mujoco>')
+    robot = load_robot(path)
+    model = mujoco.MjModel.from_xml_string(mjcf(robot, {}, robot.nominal.ravel(), JointDynamics({})))
+    assert model.dof_M0[0] == pytest.approx(robot.nominal[0, -1], rel=1e-12)
+
+
 def test_what_is_inside_joints_becomes_effects_of_the_model(tmp_path):
     path = written(tmp_path, ODD)
     robot = load_robot(path, ["twist", "pan", "body_joint3"])
