@@ -138,6 +138,7 @@ class Experiment(Plots):
         InputError
             What is recorded cannot be right, whether it comes from a file or from arrays.
         """
+        self._check_robot()
         names = [motion.name for motion in self.motions]
         for name in names:
             if names.count(name) > 1:
@@ -164,6 +165,23 @@ class Experiment(Plots):
         certain = tuple(finding.text for finding in findings)
         doubted = [text for text in self.warnings if text not in certain]
         object.__setattr__(self, "warnings", (*certain, *doubted, *doubts))
+
+    def _check_robot(self) -> None:
+        """Take over where the robot's locked joints stand; these, and the sensor's joint, must be those that it was read with."""
+        robot = self.robot
+        if not self.locked:
+            object.__setattr__(self, "locked", dict(robot.locked))
+        if {name: position for name, position in self.locked.items() if position} != robot.locked:
+            raise InputError(
+                f"experiment {self.name}: locked = {dict(self.locked)}, but the robot was read with {dict(robot.locked)}; give "
+                "load_robot the same"
+            )
+        if self.sensor is not None and self.sensor.joint != robot.sensor_joint:
+            here, there = ("under the base" if j is None else f"in {j}" for j in (self.sensor.joint, robot.sensor_joint))
+            raise InputError(
+                f"experiment {self.name}: the sensor is {here}, but the robot was read for one {there}; write "
+                f"load_robot(..., sensor_joint={self.sensor.joint!r})"
+            )
 
     def __repr__(self) -> str:
         place = None if self.sensor is None else self.sensor.joint
@@ -225,7 +243,7 @@ class Experiment(Plots):
         Parameters
         ----------
         urdf
-            Path of the URDF or what else `bayesid.load_robot` takes, or a robot that it loaded (with its joints and gravity).
+            Path of the URDF or what else `bayesid.load_robot` takes, or a robot that it loaded.
         t
             Times (N,) [s]; numpy's dates and durations count from the first.
         q
@@ -239,7 +257,7 @@ class Experiment(Plots):
         validation
             Recordings that are only predicted: ``dict(t=..., q=..., torques=...)``, a `Table`, or a list of them.
         sensor
-            Where the wrench is measured; default: under the base, in the base's axes.
+            Where the wrench is measured; default: under the base, in the base's axes, or in the joint that `load_robot` was told.
         joints
             Moving joints in the order of the columns of ``q``; default: every moving joint in the URDF's order.
         locked
@@ -260,7 +278,8 @@ class Experiment(Plots):
         InputError
             The URDF or the arrays cannot be right; the message says which array, row and value, and what to do.
         """
-        sensor = Sensor() if sensor is None and wrench is not None else sensor
+        if sensor is None and wrench is not None:
+            sensor = Sensor(urdf.sensor_joint if isinstance(urdf, Robot) else None)
         warnings: list[str] = []
         if isinstance(urdf, Robot):
             robot = urdf

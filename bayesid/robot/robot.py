@@ -167,6 +167,10 @@ class Robot:
         Ten nominal parameters a body (b, 10), about its joint's frame (the far part: the sensor joint's).
     body_rotation, body_translation
         Placement of each body's frame in the frame of the joint that moves it (b, 3, 3), (b, 3).
+    locked
+        Position of every other moving joint that does not stand at zero [rad or m].
+    sensor_joint
+        Joint in which the sensor sits, None for one under the base.
     sensor_parent
         Joint whose frame the sensor moves with, -1 for a sensor on the root.
     sensor_rotation, sensor_translation
@@ -206,6 +210,8 @@ class Robot:
     rod_joint: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     rods: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 3)))
     rod_body: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    locked: Mapping[str, float] = field(default_factory=dict)
+    sensor_joint: str | None = None
 
     def __repr__(self) -> str:
         return f"<Robot {self.name}: {self.n} joints, {len(self.body_names)} bodies>"
@@ -341,8 +347,9 @@ def load_robot(
     for array in arrays.values():
         array.setflags(write=False)
     return Robot(
-        name=str(model.name), description=file, joint_names=tuple(joints), body_names=names, sensor_parent=sensor.parent, **arrays
-    )
+        name=str(model.name), description=file, joint_names=tuple(joints), body_names=names, sensor_parent=sensor.parent,
+        locked={name: float(locked[name]) for name in sorted(locked) if locked[name]}, sensor_joint=sensor_joint, **arrays,
+    )  # fmt: skip
 
 
 def _read(urdf: UrdfFile):

@@ -180,7 +180,7 @@ def simulate(
         Unknown effect, place or parameter; links of the wrong shape.
     """
     if isinstance(setup, Robot):
-        setup = Experiment(setup.name, setup, (), Sensor())
+        setup = Experiment(setup.name, setup, (), Sensor(setup.sensor_joint))
     setup = as_experiment(setup, "a Robot")
     robot = setup.robot
     streams = [int(s.generate_state(1)[0]) for s in np.random.SeedSequence(seed).spawn(3)]

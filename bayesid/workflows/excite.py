@@ -139,7 +139,7 @@ def _warm(given: str | Path, experiment: Experiment) -> Trajectory:
 def as_setup(given: Experiment | Robot | str | Path) -> Experiment:
     """Robot, sensor and model of what is given: an experiment, its folder, or a robot on a sensor under its base."""
     if isinstance(given, Robot):
-        return Experiment(given.name, given, (), Sensor())
+        return Experiment(given.name, given, (), Sensor(given.sensor_joint))
     if isinstance(given, Experiment):
         return given
     if isinstance(given, (str, Path)):

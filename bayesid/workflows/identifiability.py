@@ -112,7 +112,7 @@ def _experiment(
     """The robot and its model, and planned motions where there are any."""
     planned: list[Motion | Trajectory] | None = None
     if isinstance(given, Robot):
-        experiment = Experiment(given.name, given, (), Sensor())
+        experiment = Experiment(given.name, given, (), Sensor(given.sensor_joint))
         if trajectories is None:
             planned = [fourier_trajectory(given, "random motion")]
     elif isinstance(given, (str, Path)):
@@ -169,9 +169,10 @@ def _of_motions(
     if all(isinstance(m, Motion) for m in motions):
         noise, bandwidth = _recorded(experiment, noise, motions, bandwidth, warnings)
     if sensor is None:
-        sensor = Sensor()
+        sensor = Sensor(robot.sensor_joint)
         if any(s.channel != "torque" for s in sets):
-            warnings.append("There is no [sensor]: what a wrench would show is told for one under the base, in the base frame.")
+            place = "under the base, in the base frame" if robot.sensor_joint is None else f"in {robot.sensor_joint}"
+            warnings.append(f"There is no [sensor]: what a wrench would show is told for one {place}.")
     plan = PlannedMotions.of(replace(experiment, sensor=sensor), motions)
     rivals = None if tell is None else pair_of(plan, tell)
     reports = []

@@ -260,7 +260,8 @@ NAME = st.text(st.characters(blacklist_characters='/\\,"', blacklist_categories=
 @st.composite
 def experiments(draw: st.DrawFn, robot_folder: Path) -> Experiment:
     gravity = draw(st.lists(NUMBER, min_size=3, max_size=3))
-    robot = load_robot(robot_folder / "robot.urdf", ["elbow", "shoulder"], {"wrist": 0.2}, gravity)
+    joint = draw(st.sampled_from([None, "shoulder", "elbow", "flange_joint"]))
+    robot = load_robot(robot_folder / "robot.urdf", ["elbow", "shoulder"], {"wrist": 0.2}, gravity, joint)
     source = load_experiment(robot_folder)
     names = draw(st.lists(NAME, min_size=1, max_size=3, unique=True))
     motions = []
@@ -273,7 +274,7 @@ def experiments(draw: st.DrawFn, robot_folder: Path) -> Experiment:
             Motion(name, role, motion.table, static=static, period=draw(STD.filter(_possible_period)), parked=tuple(parked))
         )
     sensor = Sensor(
-        joint=draw(st.sampled_from([None, "shoulder", "elbow", "flange_joint"])),
+        joint=joint,
         translation=np.array(draw(st.lists(NUMBER, min_size=3, max_size=3))),
         rpy=np.array(draw(st.lists(NUMBER, min_size=3, max_size=3))),
         force_std=draw(STD),
@@ -287,7 +288,6 @@ def experiments(draw: st.DrawFn, robot_folder: Path) -> Experiment:
         effects=tuple(draw(st.lists(st.sampled_from(["spring", "tether@elbow", "sensor_crosstalk@fx->mz"]), unique=True))),
         effect_values=values, inertia_rel_std=draw(STD), position_resolution=draw(STD), position_std=draw(STD),
         gear_ratio=draw(st.dictionaries(st.sampled_from(["elbow", "shoulder"]), st.floats(0.1, 200.0))),
-        locked={"wrist": 0.2},
     )  # fmt: skip
 
 
@@ -324,6 +324,21 @@ def test_an_experiment_survives_its_folder(data: st.DataObject, robot_folder: Pa
             assert getattr(one, key) == getattr(other, key), key
         for name, array in table_arrays(other.table).items():
             np.testing.assert_array_equal(array, getattr(one.table, name))
+
+
+def test_an_experiment_of_parts_is_of_the_robot_as_it_was_read(robot_folder: Path, tmp_path: Path) -> None:
+    """Locked joints stand where `load_robot` was told, behind a folder, too; a sensor must be where it was told."""
+    robot = load_robot(robot_folder / "robot.urdf", ["elbow", "shoulder"], {"wrist": 0.2}, sensor_joint="flange_joint")
+    (motion,) = load_experiment(robot_folder).identification
+    whole = Experiment("parts", robot, (motion,), Sensor("flange_joint"))
+    write_experiment(whole, tmp_path / "parts")
+    np.testing.assert_array_equal(load_experiment(tmp_path / "parts").robot.nominal, robot.nominal)
+    arrays = Experiment.from_arrays(robot, motion.table.times, motion.table.positions, wrench=motion.table.wrench)
+    assert arrays.locked == {"wrist": 0.2} and arrays.sensor is not None and arrays.sensor.joint == "flange_joint"
+    with pytest.raises(InputError, match=r"sensor is under the base, but the robot was read for one in flange_joint"):
+        replace(whole, sensor=Sensor())
+    with pytest.raises(InputError, match=r"locked = \{'wrist': 0.3\}, but the robot was read with \{'wrist': 0.2\}"):
+        replace(whole, locked={"wrist": 0.3})
 
 
 def test_nothing_is_overwritten(folder: Path, tmp_path: Path) -> None:

@@ -268,7 +268,7 @@ def _equipped(bench: Bench, candidate: CandidateSensor) -> tuple[Experiment, np.
     if candidate.kind == "torque":
         return own, bench.links
     rpy = pin.rpy.matrixToRpy(candidate.rotation)
-    if candidate.joint is not None or robot.sensor_parent >= 0 or len(robot.body_names) != robot.n:
+    if candidate.joint != robot.sensor_joint:
         try:
             robot = load_robot(robot.description, robot.joint_names, own.locked, robot.gravity.tolist(), candidate.joint)
         except InputError as error:
