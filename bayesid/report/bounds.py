@@ -28,7 +28,7 @@ from bayesid.report.figures import (
     tidy_time,
 )
 from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, svg, warnings
-from bayesid.results.bounds import ControllerBounds, TrajectoryBands, band_table, bands_of, joints
+from bayesid.results.bounds import ControllerBounds, MatrixUnits, TrajectoryBands, band_table, bands_of, joints, matrix_units
 from bayesid.results.files import report_of
 from bayesid.rounding import channel_text, ends, number, percent, with_half
 from bayesid.section import Part, ShownSection, ShownTable
@@ -119,11 +119,14 @@ def bounds_report(result: ControllerBounds) -> str:
     known, region, w = result.known, result.region, result.workspace
     robot, wrench = known.problem.experiment.robot, known.problem.channel == "wrench"
     unseen = "A wrench sensor under the base or at the wrist cannot know them: forces inside a joint act on both of its sides "
+    rotors = (
+        " For geared arms the reflected inertia of the rotors, gear ratio² × rotor inertia, is often the largest term of the "
+        "mass matrix: identify it from joint torques, or add the data sheet's value."
+    )
     inside = (
-        "**Not in the bounds above:** the usual rotor inertia and friction in the last columns. "
-        f"{f'{unseen}and cancel. ' * wrench}Their usual sizes are guesses from the effort limits. For geared arms the reflected "
-        "inertia of the rotors, gear ratio² × rotor inertia, is often the largest term of the mass matrix: identify it from "
-        "joint torques, or add the data sheet's value."
+        f"**Not in the bounds above:** the {result.inside.unknown} of usual size in the last columns. "
+        f"{f'{unseen}and cancel. ' * wrench}Their usual sizes are guesses from the effort limits."
+        f"{rotors * ('rotor_inertia' in result.inside.lacking)}"
     )
     drawn = f", and {result.urdfs} files `sampled-….urdf` links drawn within the uncertainty" if result.urdfs else ""
     sections = [
@@ -145,12 +148,12 @@ def bounds_report(result: ControllerBounds) -> str:
         ], "Parameters"),
         ShownSection("Mass matrix, Coriolis terms and gravity over the workspace", [
             "Bounds hold at all configurations at once, with probability 95 % each. Draws are robots of bodies that can exist.",
-            _workspace(w),
+            _workspace(w, matrix_units(robot.prismatic)),
         ], "Workspace"),
         ShownSection("Joint by joint", [
             "Inertia is the diagonal element of the mass matrix, its error relative; gravity and its error are the largest "
             "torques over the workspace, the errors of all joints at once.",
-            joints(w, result.inside), "" if result.inside.complete else inside,
+            joints(result), "" if result.inside.complete else inside,
         ], "Joints"),
         ShownSection("Other uncertainty", _remainder(result)),
         ShownSection("Trajectories", [
@@ -187,7 +190,8 @@ def _lead(result: ControllerBounds) -> str:
     text += f"{driven} of the parameters are driven by the prior. " if driven else ""
     text += f"Of {sums} parameters the data tell sums only, which is all that torques take of them. " if sums else ""
     text += "The data determine all of the parameters. " if not driven and not sums else ""
-    return text + ("" if result.inside.complete else "What is inside the joints, rotors and friction, is not in these bounds.")
+    unknown = f"What is inside the joints, {result.inside.unknown}, is not in these bounds."
+    return text + unknown * (not result.inside.complete)
 
 
 def _cards(result: ControllerBounds) -> list[tuple[str, str, str]]:
@@ -218,34 +222,37 @@ def _parameters(result: ControllerBounds) -> ShownTable:
     )
 
 
-def _workspace(w: Workspace) -> ShownTable:
+def _workspace(w: Workspace, units: MatrixUnits) -> ShownTable:
     rows = [
-        ["eigenvalues of the model’s mass matrix relative to the true", f"{number(w.ratio[0], 3)} … {number(w.ratio[1], 3)}", ""],
-        ["alpha = ‖1 − M⁻¹ M̂‖ in the norm of M", number(w.alpha, 3), "below 1 for computed torque"],
-        ["eigenvalues of the mass matrix", f"{number(w.eigenvalues[0], 3)} … {number(w.eigenvalues[1], 3)} kg m²",
+        ["eigenvalues of the model’s mass matrix relative to the true",
+         f"{number(w.ratio[0], 3)} … {number(w.ratio[1], 3)}", "", ""],
+        ["alpha = ‖1 − M⁻¹ M̂‖ in the norm of M", number(w.alpha, 3), "", "below 1 for computed torque"],
+        ["eigenvalues of the mass matrix", f"{number(w.eigenvalues[0], 3)} … {number(w.eigenvalues[1], 3)}", units.mass,
          "for the tracking bound"],
-        ["smallest eigenvalue of any draw", f"{number(w.smallest_drawn, 3)} kg m²", "above 0: positive definite"],
-        ["‖C(q, v) v‖ / ‖v‖² of the model", f"{number(w.coriolis, 3)} N m s²", ""],
-        ["its error", f"{number(w.coriolis_error, 2)} N m s²", ""],
-        ["‖M⁻¹ (ĝ − g)‖", f"{number(w.acceleration_from_gravity, 2)} rad/s²", "what computed torque leaves at rest"],
-        ["‖M⁻¹ (Ĉ − C) v‖ / ‖v‖²", number(w.acceleration_from_coriolis, 2), "and in motion"],
+        ["smallest eigenvalue of any draw", number(w.smallest_drawn, 3), units.mass, "above 0: positive definite"],
+        ["‖C(q, v) v‖ / ‖v‖² of the model", number(w.coriolis, 3), units.coriolis, ""],
+        ["its error", number(w.coriolis_error, 2), units.coriolis, ""],
+        ["‖M⁻¹ (ĝ − g)‖", number(w.acceleration_from_gravity, 2), units.acceleration, "what computed torque leaves at rest"],
+        ["‖M⁻¹ (Ĉ − C) v‖ / ‖v‖²", number(w.acceleration_from_coriolis, 2), units.bent, "and in motion"],
     ]  # fmt: skip
-    return ShownTable(["quantity", "bound", "meaning"], rows, "- nb -", "narrow")
+    return ShownTable(["quantity", "bound", "unit", "meaning"], rows, "- nb k -", "narrow")
 
 
 def _remainder(result: ControllerBounds) -> list[Part]:
     """What the model leaves of measured torques."""
     left = result.remainder
     if left is None:
-        return ["**Unknown.** No joint torques were recorded, so nothing tells how large friction, rotors and flexibility are."]
+        unread = f"{result.unread[0].upper()}{result.unread[1:]}"
+        return [f"**Unknown.** {unread}, so nothing tells how large friction, rotors and flexibility are."]
     names = result.known.problem.experiment.robot.joint_names
-    rows = [[name, number(b, 3), percent(s, 2)] for name, b, s in zip(names, left.bound, left.share, strict=True)]
+    units = result.torque_model.channels.units
+    rows = [[n, number(b, 3), u, percent(s, 2)] for n, b, u, s in zip(names, left.bound, units, left.share, strict=True)]
     return [
         f"What the model leaves of the measured torques of {', '.join(left.motions)}, below 10 Hz. It is not parametric: a "
         "controller needs a term of its own for it [Liu and Goldenberg 1996]."
         + ("" if left.held_out else " **These motions were fitted**, which hides some of it."),
-        ShownTable(["joint", "99 % of the samples within [N m or N]", "rms, of the torque"], rows, "k nb n", "narrow"),
-        figure(svg(remainder_figure(left, names, result.torque_model.channels.units), "left"),
+        ShownTable(["joint", "99 % of the samples within", "unit", "rms, of the torque"], rows, "k nb k n", "narrow"),
+        figure(svg(remainder_figure(left, names, units), "left"),
                "99 % of what is left in five classes of speed, and over all of them (line). Where it grows with speed, "
                "friction is missing."),
     ]  # fmt: skip

@@ -394,17 +394,17 @@ class ControllerBounds(ShownResult):
         bands: list[Part] = []
         for t in self.trajectories:
             bands += [f"{t.name}, joint torques: {bands_of(t.torque)}", band_table(t.torque)]
-        return [f"{title} {self.headline}", *warned, *self._facts(), joints(self.workspace, self.inside), *bands]
+        return [f"{title} {self.headline}", *warned, *self._facts(), joints(self), *bands]
 
     @property
     def headline(self) -> str:
         """What the bounds hold with probability 95 % of, and what that is conditional on."""
         left, sets = self.remainder, "Sets of parameters hold with probability 95 %, given that the model is right"
         if left is None:
-            return f"{sets}; no torques were recorded, so bands hold what parameters leave open and nothing that the model lacks."
+            return f"{sets}; {self.unread}, so bands hold what parameters leave open and nothing that the model lacks."
         named = ", ".join(left.motions)
         if left.complete:
-            where = "which were not fitted" if left.held_out else "which were fitted"
+            where = f"which {'was' if len(left.motions) == 1 else 'were'}{' not' * left.held_out} fitted"
             return f"{sets}; so do bands: noise and parameters explain all that is left of {named}, {where}."
         if left.held_out:
             return (
@@ -417,9 +417,20 @@ class ControllerBounds(ShownResult):
             "nothing shows another kind of motion or another day."
         )
 
+    @property
+    def unread(self) -> str:
+        """Why nothing tells what the model lacks of the torques, where there is no ``remainder``."""
+        experiment = self.known.problem.experiment
+        if all(m.table.torques is None for m in experiment.motions):
+            return "no joint torques were recorded"
+        if missing := [n for k, n in enumerate(experiment.robot.joint_names) if k not in experiment.torque_joints]:
+            return f"torques of {', '.join(missing)} were not recorded"
+        return "no motion with torques is long enough"
+
     def _facts(self) -> list[str]:
         """What there is to say in one line each."""
         region, w, left = self.region, self.workspace, self.remainder
+        units = matrix_units(self.torque_model.robot.prismatic)
         out = [
             f"parameters of the joint torques: {len(region.values)}, "
             + (
@@ -432,12 +443,13 @@ class ControllerBounds(ShownResult):
             f"mass matrix: M_hat is {number(w.ratio[0], 3)} to {number(w.ratio[1], 3)} times M; alpha {number(w.alpha, 3)}"
             + (" (of identified.urdf)" if w.of_urdf else "")
             + ("" if w.alpha < 1.0 else ", not below 1: computed torque has no guarantee"),
-            f"Coriolis: error {number(w.coriolis_error, 2)} of {number(w.coriolis, 3)} [N m s²]",
-            f"every drawn mass matrix: positive definite; smallest eigenvalue {number(w.smallest_drawn, 3)}",
+            f"Coriolis: error {number(w.coriolis_error, 2)} of {number(w.coriolis, 3)} [{units.coriolis}]",
+            f"every drawn mass matrix: positive definite; smallest eigenvalue {number(w.smallest_drawn, 3)} [{units.mass}]",
         ]
         if left is not None:
             kind = "motions that were not fitted" if left.held_out else "the fitted motions"
-            bounds = ", ".join(number(b, 3) for b in left.bound)
+            each = zip(left.bound, self.torque_model.channels.units, strict=True)
+            bounds = ", ".join(f"{number(b, 3)} {unit}" for b, unit in each)
             out.append(f"other uncertainty: 99 % of the torques of {kind} within {bounds}")
         return out
 
@@ -454,23 +466,41 @@ def _for_matlab(t: TrajectoryBands) -> dict[str, Any]:
     return out
 
 
-def joints(w: Workspace, inside: InsideJoints) -> ShownTable:
+@dataclass(frozen=True)
+class MatrixUnits:
+    """Units of what all joints have together."""
+
+    mass: str  # of the mass matrix
+    coriolis: str  # of ``C(q, v) v`` over the speed squared
+    acceleration: str
+    bent: str  # of an acceleration over the speed squared
+
+
+def matrix_units(prismatic: np.ndarray) -> MatrixUnits:
+    """Those of joints of which some slide (n,); where others turn, numbers of several units are put together."""
+    if not prismatic.any():
+        return MatrixUnits("kg m²", "N m s²", "rad/s²", "")
+    return MatrixUnits("kg", "kg/m", "m/s²", "1/m") if prismatic.all() else MatrixUnits(*["SI units"] * 4)
+
+
+def joints(result: ControllerBounds) -> ShownTable:
     """Bounds joint by joint."""
+    w, inside = result.workspace, result.inside
     least = 1e-9 * float(w.gravity.max(initial=0.0))  # rounding of a joint that carries no weight
     gravity, error = (np.where(x > least, x, 0.0) for x in (w.gravity, w.gravity_error))
-    head = ["joint", "inertia", "error", "gravity", "error", "usual rotor inertia", "usual friction"]
+    head = ["joint", "inertia", "unit", "error", "gravity", "error", "unit", "usual rotor inertia", "usual friction"]
     rows = []
-    for j, name in enumerate(inside.joints):
+    for j, (name, torque) in enumerate(zip(inside.joints, result.torque_model.channels.units, strict=True)):
         rotor = "identified" if not np.isfinite(inside.rotor[j]) else f"{number(inside.rotor_share[j], 2)} × inertia"
         share = inside.friction_share[j]
         known = not (np.isfinite(inside.coulomb[j]) or np.isfinite(inside.viscous[j]))
-        friction = f"{number(share, 2)} × gravity" if np.isfinite(share) else number(inside.coulomb[j], 2)
+        friction = f"{number(share, 2)} × gravity" if np.isfinite(share) else f"{number(inside.coulomb[j], 2)} {torque}"
         rows.append(
-            [name, f"{number(w.inertia[j, 0], 3)} … {number(w.inertia[j, 1], 3)}",
+            [name, f"{number(w.inertia[j, 0], 3)} … {number(w.inertia[j, 1], 3)}", "kg" if torque == "N" else "kg m²",
              percent(w.inertia_error[j], 2) if w.inertia_error[j] <= 1.0 else "over 100 %",
-             number(gravity[j], 3), number(error[j], 2), rotor, "identified" if known else friction]
+             number(gravity[j], 3), number(error[j], 2), torque, rotor, "identified" if known else friction]
         )  # fmt: skip
-    return ShownTable(head, rows, style="narrow")
+    return ShownTable(head, rows, "k n k n n n k n n", "narrow")
 
 
 def bands_of(b: Band) -> str:

@@ -124,13 +124,12 @@ def warnings(result: ControllerBounds) -> list[str]:
         extra = f"; rotors usually add up to {number(rotor, 2)} times a joint's inertia" if rotor > 0.0 else ""
         out.append(
             f"The {'sensor' if known.problem.channel == 'wrench' else 'torque reading'} {sees} what is inside the joints{extra}. "
-            "Bounds of the mass matrix are without it: identify it from the torques (effects rotor_inertia, "
-            "viscous_friction, coulomb_friction), or add a data sheet's numbers."
+            f"Bounds are without these {result.inside.unknown}: identify them from the torques (effects "
+            f"{', '.join(result.inside.lacking)}), or add a data sheet's numbers."
         )
     if result.remainder is None:
-        out.append(
-            "No joint torques were recorded, so nothing says how large the other uncertainty is: friction, rotors, flexibility."
-        )
+        unread = f"{result.unread[0].upper()}{result.unread[1:]}"
+        out.append(f"{unread}, so nothing says how large the other uncertainty is: friction, rotors, flexibility.")
     elif not result.remainder.held_out:
         out.append(
             "Other uncertainty is that of motions that were fitted, which hides some of it: record a validation motion's torques."

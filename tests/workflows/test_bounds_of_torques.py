@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
+from html import unescape
 
 import numpy as np
 import pinocchio as pin
@@ -15,8 +16,10 @@ import bayesid
 from bayesid.design.bounds.knowledge import held_out_scale
 from bayesid.regression.linalg import standard_deviations
 from bayesid.regression.problem import prepare
+from bayesid.report.bounds import bounds_report
 from bayesid.robot.robot import load_robot
 from bayesid.validation.noise_floor import noise_floor
+from tests.robots import prismatic_arm, write
 from tests.simulated import Motion, experiment, fourier, puma2, recording
 from tests.studies.page import DOCS
 
@@ -165,6 +168,34 @@ def test_what_is_printed_beside_95_percent_of_the_samples_holds_95_percent(lacki
         assert pointwise == pytest.approx(shown["mean_pointwise_half_width"][j], rel=0.06) != simultaneous
         assert shown["largest_simultaneous_half_width"][j] >= shown["mean_simultaneous_half_width"][j]
     assert "Pointwise bands of torques hold 95 % of the samples" in bounds.headline
+
+
+def test_units_are_those_of_joints_that_slide(tmp_path):
+    """Slide, swing, slide, roll: kg and N of those that slide; numbers of all joints together have no unit of their own."""
+    slides = load_robot(write(tmp_path, prismatic_arm()))
+    motion = Motion("m", "identification", recording(slides, None, fourier(slides, 1), seed=1, torque_std=0.2))
+    result = bayesid.bounds(bayesid.identify(experiment(slides, [motion])), configurations=8)
+    text = str(result)
+    assert re.search(r"Coriolis: error .* \[SI units\]", text) and re.search(
+        r"within \S+ N, \S+ N m, \S+ N, \S+ N m$", text, re.M
+    )
+    for name, inertia, torque in (("rail", "kg", "N"), ("swing", "kg m²", "N m"), ("lift", "kg", "N"), ("roll", "kg m²", "N m")):
+        assert re.search(rf"^  {name} .* {inertia}  +\S+ %  .* {torque}  ", text, re.M), name
+    page = unescape(bounds_report(result))
+    assert "rad/s²" not in page and "N m s²" not in page and "not in these bounds" in page
+
+
+def test_what_is_said_to_be_missing_is_missing(robot, complete):
+    """Of the drives' effects those alone that were not identified, and of recorded torques those alone that were not read."""
+    assert complete[1].inside.lacking == () and "not in these bounds" not in bounds_report(complete[1])
+    known = arm(robot, 0.0, effects=DRIVES[:2])
+    rotors = bayesid.bounds(bayesid.identify(known), configurations=8)
+    assert rotors.inside.lacking == ("rotor_inertia",) and "What is inside the joints, rotors, is not" in bounds_report(rotors)
+    assert any("without these rotors" in w and "friction" not in w for w in rotors.warnings)
+    second = [replace(m, table=replace(m.table, torques=m.table.torques * [np.nan, 1.0])) for m in known.motions]
+    partial = bayesid.bounds(bayesid.identify(replace(known, motions=tuple(second))), configurations=8)
+    assert partial.remainder is None and "torques of joint1 were not recorded" in partial.headline
+    assert not any("No joint torques" in w for w in partial.warnings) and "No joint torques" not in bounds_report(partial)
 
 
 def test_a_joint_that_mostly_rests_has_a_band_there(robot):

@@ -236,7 +236,19 @@ class InsideJoints:
     @property
     def complete(self) -> bool:
         """Whether all of it was identified."""
-        return not np.isfinite(np.concatenate([self.rotor, self.coulomb, self.viscous])).any()
+        return not self.lacking
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Effects inside the joints that were not identified in every joint."""
+        usual = {"rotor_inertia": self.rotor, "viscous_friction": self.viscous, "coulomb_friction": self.coulomb}
+        return tuple(name for name, sizes in usual.items() if np.isfinite(sizes).any())
+
+    @property
+    def unknown(self) -> str:
+        """What of it was not identified in every joint, in words."""
+        kinds = {"rotors": "rotor_inertia" in self.lacking, "friction": bool({*self.lacking} - {"rotor_inertia"})}
+        return " and ".join(name for name, there in kinds.items() if there)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as in ``bounds.json``; null for what was identified."""
