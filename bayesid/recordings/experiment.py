@@ -167,8 +167,10 @@ class Experiment(Plots):
         object.__setattr__(self, "warnings", (*certain, *doubted, *doubts))
 
     def _check_robot(self) -> None:
-        """Take over where the robot's locked joints stand; these, and the sensor's joint, must be those that it was read with."""
+        """Take over which joints slide and where locked ones stand; the sensor must be where the robot was read for."""
         robot = self.robot
+        if self.library.sliding != (sliding := tuple(np.flatnonzero(robot.prismatic).tolist())):
+            object.__setattr__(self, "library", self.library.for_robot(robot.n, sliding))
         if not self.locked:
             object.__setattr__(self, "locked", dict(robot.locked))
         if {name: position for name, position in self.locked.items() if position} != robot.locked:
@@ -305,7 +307,6 @@ class Experiment(Plots):
             name=name, robot=robot, motions=tuple(motions), sensor=sensor, effects=own, effect_values=values,
             inertia_rel_std=inertia_rel_std, position_resolution=position_resolution, position_std=position_std,
             gear_ratio=dict(gear_ratio or {}), locked=dict(locked or {}), warnings=tuple(warnings),
-            library=_library_of(robot),
         )  # fmt: skip
         return replace(experiment, warnings=(*experiment.warnings, *_check_roles(experiment.motions, "pass validation=...")))
 
@@ -451,11 +452,6 @@ def load_setup(folder: str | Path, library: EffectLibrary | None = None) -> Expe
     return _read_setup(Path(folder), library)[0]
 
 
-def _library_of(robot: Robot, library: EffectLibrary | None = None) -> EffectLibrary:
-    """The effects that a robot can have."""
-    return (library or EffectLibrary()).for_robot(robot.n, np.flatnonzero(robot.prismatic).tolist())
-
-
 def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment, ExperimentFile]:
     """What experiment.toml and the URDF say."""
     if folder.exists() and (kind := kind_of(folder)) and not (folder / "experiment.toml").is_file():
@@ -485,6 +481,7 @@ def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment
                     f"experiment.toml: [sensor] {key}: 0 is no sensor's noise; the data's own is used: write the data sheet's"
                 )
         sensor = Sensor(**given)
+    known = (library or EffectLibrary()).for_robot(robot.n, np.flatnonzero(robot.prismatic).tolist())
     effects, values, expressions = model_parts(file.model)
     effects, values = with_stated_effects(robot, effects if "effects" in file.model.model_fields_set else None, values)
     warnings += unlisted_values(effects, values, robot.joint_names)
@@ -493,7 +490,7 @@ def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment
         inertia_rel_std=file.robot.inertia_rel_std, position_resolution=file.robot.position_resolution,
         position_std=file.robot.position_std, gear_ratio=dict(file.robot.gear_ratio), locked=dict(file.robot.locked),
         folder=folder, warnings=tuple(warnings),
-        library=_library_of(robot, library).with_expressions(expressions, robot.n, "experiment.toml"),
+        library=known.with_expressions(expressions, robot.n, "experiment.toml"),
     )  # fmt: skip
     return experiment, file
 

@@ -220,17 +220,17 @@ def share(ratio: float) -> str:
 
 
 def effect_lines(report: SetReport) -> list[tuple[str, str]]:
-    """Expected standard deviations of the effects' parameters: all places of one in a line, and what is not determined."""
-    groups: dict[str, list[EffectExpectation]] = {}
+    """Expected standard deviations of the effects' parameters: all places of one unit in a line, and what is not determined."""
+    groups: dict[tuple[str, str], list[EffectExpectation]] = {}
     for e in report.effects:
         spec, _, parameter = e.name.rpartition(".")
-        groups.setdefault(f"{spec.partition('@')[0]}.{parameter}", []).append(e)
+        groups.setdefault((f"{spec.partition('@')[0]}.{parameter}", e.unit), []).append(e)
     lines = []
-    for name, members in groups.items():
+    for (name, unit), members in groups.items():
         stds = sorted(e.std for e in members if e.std is not None)
         hidden = [e.name.rpartition(".")[0].partition("@")[2] for e in members if e.std is None]
         ends = " to ".join(number(s, 3) for s in (stds if len(stds) < 2 else (stds[0], stds[-1])))
-        said = f"standard deviation {ends} {powers(unit_text(members[0].unit))}".rstrip() if stds else ""
+        said = f"standard deviation {ends} {powers(unit_text(unit))}".rstrip() if stds else ""
         lost = f"not determined beside the links at {', '.join(hidden)}" if hidden else ""
         lines.append((name, "; ".join(part for part in (said, lost) if part)))
     return lines

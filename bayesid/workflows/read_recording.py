@@ -12,7 +12,6 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from bayesid.arguments import argument
-from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
@@ -167,11 +166,10 @@ def read_recording(
             f"({argument('hold_out', 0.3)}), to test the estimate"
         )
     _check_readings(motions, placed, made[0][0])
-    library = EffectLibrary().for_robot(robot.n, np.flatnonzero(robot.prismatic).tolist())
     try:
         experiment = Experiment(
             name=_names([name])[0], robot=robot, motions=tuple(motions), sensor=placed, locked=stand, warnings=tuple(doubts),
-            effects=effects, effect_values=values, library=library,
+            effects=effects, effect_values=values,
         )  # fmt: skip
     except InputError as error:
         raise _of_log(error, dict(zip(names, (recording for recording, _ in made), strict=True))) from None

@@ -10,8 +10,10 @@ import pytest
 import bayesid
 from bayesid.effects.surroundings import STILL
 from bayesid.regression.problem import prepare
+from bayesid.results.identifiability import effect_lines
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import load_robot
+from bayesid.rounding import number
 from bayesid.simulation.trajectories import fourier_trajectory
 from tests import robots
 from tests.example_robots import paper_base_map
@@ -159,6 +161,19 @@ def test_poses_are_told_to_move(tmp_path):
     # The last joint turns about y: its first moment along y goes with its mass.
     assert "Side by side (m mcx mcy mcz" in text and "caca––––––" in found_row(text, robot.joint_names[-1])
     assert "not excited by this motion" in text and "never visible to this sensor" in text
+
+
+def test_errors_of_sliding_joints_have_their_own_unit(tmp_path):
+    """Slide, swing, slide, roll."""
+    robot = load_robot(write(tmp_path, robots.prismatic_arm()))
+    found = bayesid.identifiability(
+        robot, fourier_trajectory(robot, duration=4.0), sensor_sets=["torque"], effects=["viscous_friction"]
+    )
+    std = {e.name.partition("@")[2].partition(".")[0]: e.std for e in found.main.effects}
+    lines = [text for name, text in effect_lines(found.main) if name == "viscous_friction.coefficient"]
+    for (one, other), unit, line in zip((("joint1", "joint3"), ("joint2", "joint4")), ("N s/m", "N m s/rad"), lines, strict=True):
+        low, high = sorted((std[one], std[other]))
+        assert line == f"standard deviation {number(low, 3)} to {number(high, 3)} {unit}"
 
 
 def test_effects_that_look_like_links_are_told(tmp_path):
