@@ -41,6 +41,14 @@ def _number_pairs(context, parameter, value: tuple[str, ...]) -> dict[str, float
     return out
 
 
+def _whole_numbers(context, parameter, value: str | None) -> list[int]:
+    found = numbers("write whole numbers with commas between, 0,3")(context, parameter, value) or ()
+    for number in found:
+        if not number.is_integer():
+            raise InputError(f"{parameter.opts[0]} {value}: write whole numbers with commas between, 0,3")
+    return [int(number) for number in found]
+
+
 @click.command(name="import")
 @click.argument("sources", type=FILE, nargs=-1, required=True, metavar="SOURCE...")
 @click.option(
@@ -73,7 +81,7 @@ def _number_pairs(context, parameter, value: tuple[str, ...]) -> dict[str, float
     "--clock", type=click.Choice(["header", "log"]), help="Times of topics; default: headers' stamps, where there are any."
 )
 @click.option("--topics", callback=names, help="Topics of a bag to be read, by commas; default: joint states and wrenches.")
-@click.option("--episodes", callback=_numbers, help="Episodes of a LeRobot data set, by commas; default: all.")
+@click.option("--episodes", callback=_whole_numbers, help="Episodes of a LeRobot data set, by commas; default: all.")
 @click.option("--hold-out", type=float, help="Share of a recording, its end, that is kept for validation, such as 0.3.")
 @click.option("--join", is_flag=True, help="The sources are parts of one recording, such as a file a topic.")
 @UNUSED_SEED
@@ -95,7 +103,7 @@ def import_(
         progress("reading")
         imported = bayesid.read_recording(
             list(sources), urdf, validation=list(validation), sensor=placed, join_files=join, topics=topics or (),
-            episodes=[int(e) for e in episodes or ()], name=out.absolute().name, **given, **options,
+            episodes=episodes, name=out.absolute().name, **given, **options,
         )  # fmt: skip
         folder = imported.write(out)
     say(imported)

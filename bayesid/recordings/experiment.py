@@ -500,7 +500,9 @@ def _read_table(folder: Path, name: str, kind: str, setup: Experiment, stated: C
     has_sensor = setup.sensor is not None
     if not (stated.columns or stated.units or stated.scale):
         return read_table(folder / name, name, setup.robot.n, has_sensor)
-    return read_stated(folder / name, name, stated, setup.robot.joint_names, has_sensor, kind == "poses"), []
+    joints = setup.robot.joint_names
+    sliding = [joint for joint, slides in zip(joints, setup.robot.prismatic, strict=True) if slides]
+    return read_stated(folder / name, name, stated, joints, sliding, has_sensor, kind == "poses"), []
 
 
 def _stored(folder: Path, section: MotionSection, setup: Experiment, stated: ColumnMap) -> StoredTable | None:

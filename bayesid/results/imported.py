@@ -13,7 +13,6 @@ import numpy as np
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.importing.clock import date
-from bayesid.recordings.importing.column_map import UNITS
 from bayesid.recordings.importing.recording import Recording
 from bayesid.recordings.importing.signals import Signal
 from bayesid.recordings.writer import write_experiment
@@ -21,7 +20,7 @@ from bayesid.results.files import SCHEMA, strict
 from bayesid.rounding import number, with_half
 
 _EVEN = 1e-6  # jitter that no log of a robot is without [s]
-_OURS = {next(iter(units)) for units in UNITS.values()}
+_OURS = {"rad", "m", "rad/s", "m/s", "N m", "N"}
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from bayesid.arguments import argument
+from bayesid.arguments import names as as_names
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
@@ -20,7 +21,7 @@ from bayesid.recordings.importing.column_map import ColumnMap, load_column_map
 from bayesid.recordings.importing.found_columns import currents
 from bayesid.recordings.importing.recording import Recording, joined_files, make_recording, read_source
 from bayesid.recordings.importing.signals import Signal
-from bayesid.recordings.importing.stream import Source
+from bayesid.recordings.importing.stream import Source, kind_of
 from bayesid.recordings.robot_section import robot_doubts, with_stated_effects
 from bayesid.results.imported import Delay, Imported, ImportedRecording
 from bayesid.robot.robot import load_robot
@@ -123,6 +124,8 @@ def read_recording(
     stated = ColumnMap() if mapping is None else load_column_map(mapping)
     beside = dict(columns=columns, units=units, scale=scale, joints=joint_names, shift=shift)
     stated = replace(stated, **{key: {**getattr(stated, key), **more} for key, more in beside.items() if more})
+    topics, joints = as_names(topics) or (), as_names(joints)
+    _check_meant([*_paths(source), *_paths(validation)], topics=topics, clock=clock, episodes=episodes)
     options = dict(topics=topics, mapped=stated.names(), episodes=episodes)
     given, held_out = _read(source, join_files, **options), _read(validation, join_files, **options)
     if not given:
@@ -138,8 +141,10 @@ def read_recording(
         for joint in names:
             if joint not in moving:
                 raise InputError(f"{argument(key)}: {joint} is no moving joint of {file.path.name}; {suggest(joint, moving)}")
+    sliding = [joint for joint in moving if file.joints[joint].kind == "prismatic"]
     made = [
-        (make_recording(one, stated, moving, joints, clock, locked=locked or {}), files) for one, files in [*given, *held_out]
+        (make_recording(one, stated, moving, joints, clock, locked=locked or {}, sliding=sliding), files)
+        for one, files in [*given, *held_out]
     ]
     joints = _shared_joints([recording for recording, _ in made])
     notes: list[str] = []
@@ -222,9 +227,22 @@ def _moving(file: UrdfFile) -> list[str]:
     return [name for name in load_robot(file).joint_names if name in file.joints and file.joints[name].kind not in still]
 
 
+def _paths(given: _Paths) -> list[Path]:
+    return [Path(given)] if isinstance(given, (str, Path)) else [Path(path) for path in given]
+
+
+def _check_meant(paths: Sequence[Path], **given: Any) -> None:
+    """Refuse an option of bags or data sets where none is read."""
+    kinds = {kind_of(path) for path in paths}
+    for option, value in given.items():
+        kind, what = ("lerobot", "data sets of LeRobot") if option == "episodes" else ("bag", "bags")
+        if value and kind not in kinds and all(path.exists() for path in paths):
+            raise InputError(f"{argument(option)}: holds for {what} only, and none is given; leave it out")
+
+
 def _read(paths: _Paths, join_files: bool, **options: Any) -> list[tuple[Source, tuple[str, ...]]]:
     """What files hold, with their names: a recording each, or all together one."""
-    files = [Path(paths)] if isinstance(paths, (str, Path)) else [Path(path) for path in paths]
+    files = _paths(paths)
     sources = [(one, (path.name,)) for path in files for one in read_source(path, **options)]
     if join_files and len(sources) > 1:
         return [(joined_files([one for one, _ in sources]), tuple(path.name for path in files))]

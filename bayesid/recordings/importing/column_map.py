@@ -23,19 +23,21 @@ AXES = {"wrench": WRENCH_COLUMNS, "f": WRENCH_COLUMNS[:3], "m": WRENCH_COLUMNS[3
 _LONGEST_SHIFT = 1e6  # [s]
 _ONE = re.compile(r"(qr|q|v|tau)([1-9]\d*)")
 _TURN = 2.0 * math.pi
-_ANGLE = {"rad": 1.0, "deg": math.pi / 180.0, "turn": _TURN, "m": 1.0, "mm": 1e-3, "cm": 1e-2}
-_RATE = {
-    "rad/s": 1.0, "deg/s": math.pi / 180.0, "turn/s": _TURN, "rpm": _TURN / 60.0, "m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2,
-}  # fmt: skip
+_ANGLE = {"rad": 1.0, "deg": math.pi / 180.0, "turn": _TURN}
+_LENGTH = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
+_RATE = {"rad/s": 1.0, "deg/s": math.pi / 180.0, "turn/s": _TURN, "rpm": _TURN / 60.0}
+_SPEED = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2}
 _FORCE, _MOMENT = {"N": 1.0, "kN": 1e3, "mN": 1e-3}, {"N m": 1.0, "N mm": 1e-3, "N cm": 1e-2, "mN m": 1e-3, "kN m": 1e3}
 #: Units of readings that say nothing of a torque without a constant of the joint.
 NEED_CONSTANT = {"A": 1.0, "mA": 1e-3, "V": 1.0, "counts": 1.0, "%": 1.0}
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 #: Units of a quantity: the first is the one that bayesid computes in.
 UNITS: dict[str, dict[str, float]] = {
-    "t": {**_TIME, "iso": math.nan}, "q": _ANGLE, "v": _RATE, "qr": _ANGLE, "tau": {**_MOMENT, **_FORCE, **NEED_CONSTANT},
-    "f": _FORCE, "m": _MOMENT,
+    "t": {**_TIME, "iso": math.nan}, "q": {**_ANGLE, **_LENGTH}, "v": {**_RATE, **_SPEED}, "qr": {**_ANGLE, **_LENGTH},
+    "tau": {**_MOMENT, **_FORCE, **NEED_CONSTANT}, "f": _FORCE, "m": _MOMENT,
 }  # fmt: skip
+#: Those of a joint's quantity, if it turns and if it slides.
+_OF_JOINT = {"q": (_ANGLE, _LENGTH), "v": (_RATE, _SPEED), "qr": (_ANGLE, _LENGTH), "tau": (_MOMENT, _FORCE)}
 _SPELT = {"nm": "N m", "degree": "deg", "degrees": "deg", "°": "deg", "°/s": "deg/s", "radians": "rad", "radian": "rad",
           "sec": "s", "seconds": "s", "second": "s", "msec": "ms", "milliseconds": "ms", "µs": "us", "μs": "us", "usec": "us",
           "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "newton": "N", "rev": "turn", "rev/s": "turn/s",
@@ -157,6 +159,16 @@ class ColumnMap:
                 remedy = suggest(key, (*joints, "tau1", *UNITS), "write one of")
                 raise wrong(f'"{cut(key)}" is neither a column nor a joint', key="units.scale", value=key, remedy=remedy)
 
+    def check_numbers(self, joints: int) -> None:
+        """Refuse what is stated of a column of more joints than there are."""
+        for section, keys in (("columns", self.columns), ("units", self.units), ("units.scale", self.scale)):
+            for key in keys:
+                if (one := _ONE.fullmatch(key)) and int(one[2]) > joints:
+                    problem = f"there {'is' if joints == 1 else 'are'} {joints} joint{'s' * (joints != 1)}"
+                    raise InputError(
+                        problem, file=self.file, key=f"{section} {key}", value=key, remedy=f"write one up to {one[1]}{joints}"
+                    )
+
 
 def quantity_of(column: str) -> str:
     """The quantity, a key of `UNITS`, of a column or quantity of ours; empty where it is neither."""
@@ -166,6 +178,25 @@ def quantity_of(column: str) -> str:
         return column[0]
     one = _ONE.fullmatch(column)
     return one[1] if one else ""
+
+
+def unit_of_joint(quantity: str, unit: str | None, slides: bool) -> str | None:
+    """The unit of a quantity, as it is stated for all joints, for one that turns or slides; None where it can be none of it.
+
+    Where none is stated, or the other kind's unit that is 1 (rad for m), it is the one that bayesid computes in.
+    """
+    own = _OF_JOINT[quantity][slides] if quantity in _OF_JOINT else UNITS[quantity]
+    if unit is None or (unit not in own and unit not in NEED_CONSTANT and UNITS[quantity][unit] == 1.0):
+        return next(iter(own))
+    return unit if unit in own or unit in NEED_CONSTANT else None
+
+
+def foreign_unit(quantity: str, column: str) -> str | None:
+    """The unit that a column's name states, where it is one of other quantities only; else None."""
+    match = UNIT_OF_NAME.search(column)
+    if match is None or match[1].isdigit() or known_unit(quantity, match[1]) is not None:
+        return None
+    return next((unit for other in UNITS if (unit := known_unit(other, match[1])) is not None), None)
 
 
 def known_unit(quantity: str, text: str) -> str | None:

@@ -69,6 +69,7 @@ def find_columns(
     """
     finder = _Finder(streams, stated, source)
     wanted = tuple(joints or moving)
+    stated.check_numbers(len(wanted))
     positions = finder.of_joints("q", wanted, must=True)
     if not positions:
         raise InputError(f"no positions of {listed(wanted, 6)} are found", file=source, remedy=finder.what_to_name(wanted))
@@ -101,7 +102,8 @@ def time_column(stream: Stream, stated: ColumnMap, source: str) -> tuple[str, st
     given = stated.columns.get("t")
     if given is not None:
         wanted = [given] if isinstance(given, str) else list(given)
-        names = [column for column in stream.columns if column in wanted or stream.full_name(column) in wanted]
+        parts = [part.strip() for name in wanted for part in name.split(",")]
+        names = [column for column in stream.columns if {column, stream.full_name(column)} & {*wanted, *parts}]
         if not names:
             what = listed([f'"{cut(name)}"' for name in wanted])
             raise InputError(f"no column {what}", file=source, key="columns t", value=given, remedy=_near(wanted[0], [stream]))
@@ -200,6 +202,8 @@ class _Finder:
         for key, axes in AXES.items():
             if (given := columns.get(key)) is None:
                 continue
+            if isinstance(given, str) and re.search(r"\{[01]\}", given):
+                given = [given.replace("{0}", str(k)).replace("{1}", str(k + 1)) for k in range(len(axes))]
             names = self._entries(given, key)
             if len(names) != len(axes):
                 remedy = f"name those of {', '.join(axes)}"
@@ -242,7 +246,7 @@ class _Finder:
         return f"name their columns ({argument('columns')}, such as {example}); {there}"
 
     def _entries(self, name: str | Sequence[str], key: str) -> list[str]:
-        """Names of columns as they are listed, or of those of an array, or of a part of it (``state[0:6]``)."""
+        """Names of columns as they are listed, commas between or not, or of an array's, or of a part of it (``state[0:6]``)."""
         if not isinstance(name, str):
             return list(name)
         match = re.fullmatch(r"(.+)\[(\d+):(\d+)\]", name)
@@ -253,6 +257,8 @@ class _Finder:
         entries = entries or [c for _, c, array in arrays if array == name]
         entries = entries or [c for _, c in self.places if c.startswith(f"{name}/")]
         if not entries and self._lookup(name) is None:
+            if "," in name:
+                return [part.strip() for part in name.split(",")]
             raise self._absent(name, key)
         return entries or [name]
 
@@ -325,7 +331,8 @@ def _stated_unit(column: str, quantity: str) -> str | None:
 
 
 def _near(name: str, streams: Sequence[Stream]) -> str:
-    return suggest(name, [*_groups(streams), *(s.full_name(c) for s in streams for c in s.columns)], "its columns are")
+    columns = (s.full_name(c) for s in streams for c in s.columns)
+    return suggest(name, dict.fromkeys([*_groups(streams), *columns]), "its columns are")
 
 
 def _shown(streams: Sequence[Stream], count: int, quantity: str) -> str:

@@ -219,8 +219,11 @@ def make_recording(
     clock: str | None = None,
     poses: bool = False,
     locked: Collection[str] = (),
+    sliding: Collection[str] = (),
 ) -> Recording:
     """Find the columns of what was read, convert them, and bring them together; joints as for `find_columns`.
+
+    ``sliding`` are those joints that slide, whose units are others.
 
     ``clock`` is ``header`` or ``log`` for topics; None: headers, where they have stamps that count. Where rows are separate
     ``poses`` at rest, no sample is held. An `InputError` where a column is not found or could be several, a cell is no number,
@@ -246,7 +249,7 @@ def make_recording(
     if starts:
         first = min(one.start + int(np.nanmin(one.times) * 1e9) for _, one in clocks if one.start is not None)
         clocks = [(stream, one.since(first)) for stream, one in clocks]
-    signals, notes = make_signals(layout, clocks, stated, source.name, held=not poses)
+    signals, notes = make_signals(layout, clocks, stated, source.name, not poses, sliding)
     joined = join(signals, source.name)
     done = [text for _, one in clocks for text in one.notes] + notes
     if len({one.kind for _, one in clocks}) > 1:
@@ -263,12 +266,16 @@ def make_recording(
     done += [f"rows are at the times of {joined.base.called}"] if joined.how else []
     others = [joint for joint in moving if joint not in layout.joints]
     found = positions_of(source.streams, stated, others, source.name) if others else {}
-    stand = {joint: at for joint, one in found.items() if (at := resting(one, stated, joint, source.name)) is not None}
+    stand = {joint: at for joint, one in found.items() if (at := resting(one, stated, joint, source.name, sliding)) is not None}
     return Recording(source, layout, tuple(clocks), tuple(signals), joined, (*done, *joined.how), stand)
 
 
-def read_stated(path: Path, name: str, stated: ColumnMap, joints: Sequence[str], wrench: bool, poses: bool) -> Table:
+def read_stated(
+    path: Path, name: str, stated: ColumnMap, joints: Sequence[str], sliding: Collection[str], wrench: bool, poses: bool
+) -> Table:
     """Read a file of an experiment folder whose columns experiment.toml names; ``name`` is its path within the folder.
+
+    Of the ``joints``, in the order of q1 ... qn, some are ``sliding``.
 
     Errors are those of `read_source` and `make_recording`, or that the file holds several recordings.
     """
@@ -277,6 +284,8 @@ def read_stated(path: Path, name: str, stated: ColumnMap, joints: Sequence[str],
     sources = read_source(path, mapped=stated.names())
     if len(sources) != 1:
         raise InputError(f"{name}: holds {len(sources)} recordings; make an experiment of them with {call('import')}")
-    recording = make_recording(Source(name, sources[0].streams, sources[0].unread), stated, joints, joints, poses=poses)
+    recording = make_recording(
+        Source(name, sources[0].streams, sources[0].unread), stated, joints, joints, poses=poses, sliding=sliding
+    )
     table = recording.table(name, wrench)
     return replace(table, notes=(*(f"{name}: {text}" for text in recording.done), *table.notes))

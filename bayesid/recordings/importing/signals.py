@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -12,7 +12,14 @@ from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, is_number, listed
 from bayesid.recordings.importing.clock import RowTimes
-from bayesid.recordings.importing.column_map import NEED_CONSTANT, UNITS, ColumnMap, quantity_of
+from bayesid.recordings.importing.column_map import (
+    NEED_CONSTANT,
+    UNITS,
+    ColumnMap,
+    foreign_unit,
+    quantity_of,
+    unit_of_joint,
+)
 from bayesid.recordings.importing.found_columns import FoundColumn, Layout
 from bayesid.recordings.importing.stream import Stream
 from bayesid.recordings.motion_checks import TURN, Timing, rows_held, wraps
@@ -22,6 +29,7 @@ from bayesid.recordings.toml_file import LARGEST
 #: In a table of several topics, a quantity without a reading in most rows has its own, slower times.
 _OWN_TIMES = 0.5
 _JUDGED = 200_000  # rows that are looked at for repeated samples
+_SAID = {"q": "positions", "v": "velocities", "qr": "positions", "tau": "torques", "f": "forces", "m": "moments"}
 NAMES = {"q": "positions", "v": "velocities", "qr": "commands", "tau": "torques", "wrench": "wrench"}
 
 
@@ -83,12 +91,17 @@ class Signal:
 
 
 def make_signals(
-    layout: Layout, clocks: Sequence[tuple[Stream, RowTimes]], stated: ColumnMap, source: str, held: bool = True
+    layout: Layout,
+    clocks: Sequence[tuple[Stream, RowTimes]],
+    stated: ColumnMap,
+    source: str,
+    held: bool = True,
+    sliding: Collection[str] = (),
 ) -> tuple[list[Signal], list[str]]:
     """Signals, one for the columns of a quantity in each stream, converted to SI units, and notes.
 
-    ``held`` says whether rows that only repeat a sample are looked for, and left out. An `InputError` where a cell is no
-    number, or torques are in a unit that says nothing without a constant.
+    ``held`` says whether rows that only repeat a sample are looked for, and left out; ``sliding`` are the joints that slide. An
+    `InputError` where a cell is no number, a unit is none of the quantity or joint, or says nothing without a constant.
     """
     notes: list[str] = []
     groups: dict[tuple[str, int], list[FoundColumn]] = {}
@@ -99,7 +112,7 @@ def make_signals(
     for (quantity, _), found in groups.items():
         stream = found[0].stream
         clock = next(clock for one, clock in clocks if one is stream)
-        converted = [_converted(f, stated, layout.joints, source) for f in found]
+        converted = [_converted(f, stated, layout.joints, source, sliding) for f in found]
         columns, units, scales = zip(*converted, strict=True)
         values = np.column_stack(columns)
         there = [k for k in range(len(found)) if not np.isnan(values[:, k]).all()]
@@ -130,15 +143,26 @@ def make_signals(
     return signals, list(dict.fromkeys(notes))
 
 
-def resting(found: FoundColumn, stated: ColumnMap, joint: str, source: str) -> tuple[float, float] | None:
-    """Where a joint that is not used stands, and how far it moves [rad or m]; None where it has no position."""
-    unit = ColumnMap(units={"q1": unit} if (unit := stated.units.get("q") or found.unit) else {}, file=stated.file)
-    values = _converted(FoundColumn("q1", found.stream, found.column), unit, [joint], source)[0]
+def resting(
+    found: FoundColumn, stated: ColumnMap, joint: str, source: str, sliding: Collection[str]
+) -> tuple[float, float] | None:
+    """Where a joint that is not used stands, and how far it moves [rad or m]; None where it has no position.
+
+    A unit stated for positions that is none of this joint's, which cannot be stated apart, does not hold for it.
+    """
+    unit = stated.units.get("q")
+    unit = unit if unit_of_joint("q", unit, joint in sliding) else None
+    like = ColumnMap(
+        units={} if unit is None else {"q": unit}, scale={k: by for k, by in stated.scale.items() if k == "q"}, file=stated.file
+    )
+    values = _converted(replace(found, ours="q1"), like, [joint], source, sliding)[0]
     values = values[~np.isnan(values)]
     return (float(np.median(values)), float(np.ptp(values))) if len(values) else None
 
 
-def _converted(found: FoundColumn, stated: ColumnMap, joints: Sequence[str], source: str) -> tuple[np.ndarray, str, float]:
+def _converted(
+    found: FoundColumn, stated: ColumnMap, joints: Sequence[str], source: str, sliding: Collection[str]
+) -> tuple[np.ndarray, str, float]:
     """A column in SI units, the unit that it was written in, and the factor that is stated for it."""
     quantity = quantity_of(found.ours)
     raw = found.stream.columns[found.column]
@@ -160,9 +184,17 @@ def _converted(found: FoundColumn, stated: ColumnMap, joints: Sequence[str], sou
             key=f"units {found.ours}", value=unit,
             remedy=f"write N m per {unit} at the joint, {argument('scale')} {joint}=11.2",
         )  # fmt: skip
+    ours, used = (unit_of_joint(quantity, given, joint in sliding) for given in (None, unit))
+    if unit is None and scale is None and (other := foreign_unit(quantity, found.column)):
+        remedy = f"say what they are ({argument('units')} {found.ours}={ours}, or a factor, {argument('scale')} {found.ours}=...)"
+        raise InputError(f"{other} is no unit of {_SAID[quantity]}", file=source, key=place, value=other, remedy=remedy)
+    if used is None:
+        problem = f"{unit} is no unit of {joint}, which {'slides' if joint in sliding else 'turns'}"
+        remedy = f"state its own ({argument('units')} {found.ours}={ours})"
+        raise InputError(problem, file=stated.file or source, key=f"units {found.ours}", value=unit, remedy=remedy)
     scale = 1.0 if scale is None else scale
-    factor = (1.0 if unit is None else UNITS[quantity][unit]) * scale
-    return (values if factor == 1.0 else values * factor), unit or next(iter(UNITS[quantity])), scale
+    factor = UNITS[quantity][used] * scale
+    return (values if factor == 1.0 else values * factor), used, scale
 
 
 def _usable(clock: RowTimes, values: np.ndarray, what: str, source: str) -> tuple[np.ndarray, list[str]]:

@@ -320,6 +320,12 @@ STATED = {
     "an array that is none": (dict(columns={"wrench": "kms"}), 'no column "kms"'),
     "several columns for one": (dict(columns={"q1": ["time", "time"]}), "several columns for one"),
     "times that are not there": (dict(columns={"t": ["zeit", "stunde"]}), 'no column "zeit", "stunde"'),
+    "a column of a joint too many": (dict(columns={"q3": "x"}), "columns q3: there are 2 joints; write one up to q2"),
+    "a unit of a joint too many": (dict(units={"tau3": "N"}), "units tau3: there are 2 joints; write one up to tau2"),
+    "a factor of a joint too many": (dict(scale={"v9": 2.0}), "units.scale v9: there are 2 joints"),
+    "topics of a table": (dict(topics="/joint_states"), "topics: holds for bags only, and none is given"),
+    "a clock of a table": (dict(clock="header"), "clock: holds for bags only"),
+    "episodes of a table": (dict(episodes=[0]), "episodes: holds for data sets of LeRobot only"),
     "a joint that is none": (dict(joints=["shoulder", "wrist"]), "joints: wrist is no moving joint of robot.urdf; known: "),
     "a locked joint that is none": (dict(locked={"elbw": 0.0}), "locked: elbw is no moving joint of robot.urdf; did you mean"),
 }
@@ -328,10 +334,35 @@ STATED = {
 @pytest.mark.parametrize("case", STATED)
 def test_what_is_wrong_with_what_is_stated_is_said_in_one_line(case, known, tmp_path):
     options, said = STATED[case]
+    options = {"joints": JOINTS} | options
     by_joint(known, time=known.t).to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(InputError) as error:
         only(tmp_path / "log.csv", known, **options)
     assert said in str(error.value) and "\n" not in str(error.value)
+
+
+def test_several_columns_are_named_with_commas_between_as_on_the_command_line(known, tmp_path):
+    """Names of columns are listed, or numbered as a refusal lists them: ``q_{0}``, of a wrench, too."""
+    frame = pd.DataFrame({"at": known.t, "a": known.q[:, 0], "b, turned": known.q[:, 1], "tau_0": known.tau[:, 0]})
+    frame["tau_1"] = known.tau[:, 1]
+    frame[[f"tcp_{k}" for k in range(6)]] = known.wrench
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    arguments = ["import", str(tmp_path / "log.csv"), "--urdf", str(known.urdf), "--out", str(tmp_path / "arm")]
+    arguments += ["--joints", "shoulder,elbow", "--sensor", "wrist_ft", "--columns", "t=at,q=a,wrench=tcp_{0}"]
+    assert main(arguments) == 2
+    frame.rename(columns={"b, turned": "b"}).to_csv(tmp_path / "log.csv", index=False)
+    arguments[-1] = "t=at,q=a,b,wrench=tcp_{0}"
+    assert main(arguments) == 0
+    table = bayesid.load_experiment(tmp_path / "arm").motions[0].table
+    for name, values in (("positions", known.q), ("torques", known.tau), ("wrench", known.wrench)):
+        np.testing.assert_array_equal(getattr(table, name), values)
+
+
+@pytest.mark.parametrize("given", ["nan", "0.7", "inf", "1,x"])
+def test_episodes_are_whole_numbers(given, known, tmp_path, capsys):
+    """The first of them ended in an error of Python's, and 0.7 was read as 0."""
+    assert main(["import", str(tmp_path), "--urdf", str(known.urdf), "--out", str(tmp_path / "arm"), "--episodes", given]) == 2
+    assert f"--episodes {given}: write whole numbers with commas between, 0,3" in capsys.readouterr().err
 
 
 def test_a_file_that_is_no_parquet_or_a_pickle_is_refused(known, tmp_path):
