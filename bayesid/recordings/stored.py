@@ -10,14 +10,14 @@ import functools
 import io
 import threading
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import cut, listed, one_line
+from bayesid.recordings.complaints import columns_of, cut, listed, one_line
 from bayesid.recordings.table import GAP, JOIN, Table, of_every_joint, usual_step
 from bayesid.recordings.table_reader import EMPTY, column_groups, count_lines, open_parquet, read_header
 from bayesid.recordings.toml_file import LARGEST
@@ -168,7 +168,14 @@ def stored_table(path: Path, source: str, joints: int, wrench: bool, chunked: bo
         parts = list(_runs_of_lines(path))
     if not parts:
         raise InputError("has columns but no rows", file=source, remedy="write one row per sample")
-    return _scanned(layout, parts, joints)
+    first = _numbers(layout, parts[0])
+    without = [name for name in groups.get("torques", ()) if np.isnan(first[:, layout.columns.index(name)]).all()]
+    if not without:
+        return _scanned(layout, parts, joints)
+    read = {group: [name for name in columns if name not in without] for group, columns in groups.items()}
+    stored = _scanned(replace(layout, groups={group: columns for group, columns in read.items() if columns}), parts, joints)
+    note = f"{source}: {columns_of(without)}: no torque in the first {len(first):,} rows, so not used at all"
+    return replace(stored, notes=(*stored.notes, note))
 
 
 @dataclass(frozen=True)
@@ -186,7 +193,8 @@ class _Scan:
 
 def _scanned(layout: _Layout, parts: list[FilePart], joints: int) -> StoredTable:
     """The table, once every part has been checked."""
-    step = usual_step(_numbers(layout, parts[0])[:, 0])
+    times = _numbers(layout, parts[0])[:, 0]
+    step = usual_step(times[~np.isnan(times)])
     scans = list(map_tasks(functools.partial(_scan, layout, step), parts))
     dropped, gaps, starts, begins, last = {}, [], [0], [], None
     kept = []

@@ -50,7 +50,8 @@ def read_table(path: Path, source: str, joints: int, wrench: bool = True) -> tup
             return _read_parquet(path, source, joints, wrench)
         return _read_csv(path, source, joints, wrench)
     except OSError as error:
-        raise InputError(f"{source}: cannot be read ({error.strerror}); give a readable file") from None
+        reason = error.strerror or cut(one_line(str(error)), 80)  # pyarrow's have a text alone
+        raise InputError(f"{source}: cannot be read ({reason}); give a readable file") from None
 
 
 def _read_csv(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table, list[str]]:
@@ -120,7 +121,7 @@ def _read_parquet(path: Path, source: str, joints: int, wrench: bool) -> tuple[T
     groups, warned = column_groups(list(file.schema_arrow.names), source, joints, wrench)
     arrays = {}
     for group, columns in groups.items():
-        frame = file.read(columns=columns).to_pandas()
+        frame = file.read(columns=columns).to_pandas(ignore_metadata=True)  # which would make an index of one of them
         for column in columns:
             if frame[column].dtype.kind not in "fiu":
                 raise InputError(f"{source}: column {column}: holds {frame[column].dtype}; write numbers")
@@ -143,6 +144,8 @@ def _assemble(
     times = arrays["t"][:, 0]
     columns = {name: arrays[group][:, k] for group, names in groups.items() for k, name in enumerate(names) if group != "t"}
     columns = {name: values for name, values in columns.items() if name[:3] != "tau" or not np.isnan(values).all()}
+    if "torques" in arrays and not {*groups["torques"]} & {*columns}:
+        del arrays["torques"]  # of no joint at all
     dropped, notes = usable_rows(times, columns, source, place)
     if len(dropped):
         rows = np.delete(np.arange(len(times)), dropped)

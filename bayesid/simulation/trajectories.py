@@ -16,7 +16,7 @@ from scipy.interpolate import make_interp_spline
 
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
-from bayesid.recordings.table_reader import read_table
+from bayesid.recordings.table_reader import open_parquet, read_table
 from bayesid.robot.robot import Robot, motion_limits
 from bayesid.signals.smoothing import choose_smoother, smooth
 
@@ -262,12 +262,13 @@ def _accelerations(path: Path, joints: int, dropped: np.ndarray) -> np.ndarray |
 
     ``dropped`` are the rows that were left out of the others.
     """
-    if path.suffix.lower() != ".csv":
-        return None
     import pandas as pd
 
     names = [f"a{j}" for j in range(1, joints + 1)]
-    frame = pd.read_csv(path, skipinitialspace=True, encoding="utf-8-sig").rename(columns=str.strip)
+    if path.suffix.lower() in (".parquet", ".pq"):
+        frame = open_parquet(path, path.name).read().to_pandas(ignore_metadata=True)
+    else:
+        frame = pd.read_csv(path, skipinitialspace=True, encoding="utf-8-sig").rename(columns=str.strip)
     if not set(names) <= set(frame.columns):
         return None
     try:

@@ -200,6 +200,25 @@ def test_parquet_reads_as_csv_does(folder: Path) -> None:
         np.testing.assert_array_equal(array, getattr(read, name))
 
 
+def test_parquet_with_an_index_is_read_by_its_columns(folder: Path) -> None:
+    """pandas writes the index as a column, and makes one of it again on reading: times were no column then."""
+    pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
+    expected = load_experiment(folder).validation[0].table
+    pd.read_csv(folder / "validation.csv").set_index("t").to_parquet(folder / "validation.parquet")
+    toml("validation.csv", "validation.parquet")(folder)
+    np.testing.assert_array_equal(load_experiment(folder).validation[0].table.times, expected.times)
+
+
+@pytest.mark.parametrize("name", ["validation.csv", "validation.parquet"])
+def test_torques_of_no_joint_at_all_are_none(name: str, folder: Path) -> None:
+    """Columns that a logger writes and never fills; they ended in a warning of numpy's."""
+    pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
+    frame = pd.read_csv(folder / "validation.csv").assign(tau1=np.nan, tau2=np.nan)
+    frame.to_csv(folder / name, index=False) if name.endswith("csv") else frame.to_parquet(folder / name)
+    toml("validation.csv", name)(folder)
+    assert load_experiment(folder).validation[0].table.torques is None
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

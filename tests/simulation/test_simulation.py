@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pinocchio as pin
 import pytest
 
@@ -245,6 +246,19 @@ def test_rows_that_a_planned_motion_loses_are_lost_with_their_accelerations(setu
     back = bayesid.read_trajectory(tmp_path / "move.csv", setup.robot)
     for name in ("times", "positions", "velocities", "accelerations"):
         np.testing.assert_allclose(getattr(back, name), np.delete(getattr(motion, name), 20, axis=0), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["move.parquet", "move.txt"])
+def test_accelerations_are_read_of_any_table(name, setup, tmp_path):
+    """They are those of the table, here twice those of the positions, and not those of a curve through these."""
+    motion = bayesid.fourier_trajectory(setup.robot, duration=2.0, rate=50.0, fundamental=0.5)
+    doubled = replace(motion, accelerations=2.0 * motion.accelerations)
+    bayesid.write_trajectory(doubled, tmp_path / "move.txt")
+    if name == "move.parquet":
+        pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
+        pd.read_csv(tmp_path / "move.txt").set_index("t").to_parquet(tmp_path / name)
+    back = bayesid.read_trajectory(tmp_path / name, setup.robot)
+    np.testing.assert_allclose(back.accelerations, doubled.accelerations, atol=1e-6)
 
 
 def test_simulate_verb(folder, tmp_path, capsys):

@@ -15,7 +15,7 @@ from bayesid.recordings.importing.stream import Stream, array_columns
 
 _DEEPEST = 8  # structures within structures
 _LARGEST = 1 << 32  # of what a file says it holds [bytes]
-_KINDS = "fiubUSM"
+_KINDS = "fiubUSMm"
 
 
 def read_npz(path: Path) -> tuple[Stream, ...]:
@@ -67,7 +67,7 @@ def read_mat(path: Path) -> tuple[Stream, ...]:
         content = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
     except Exception as error:  # scipy raises whatever a damaged file leads to
         raise _unreadable(path, "a MAT file", error) from None
-    return _streams(path, dict(_of_structures({k: v for k, v in content.items() if not k.startswith("__")}, "", 0)))
+    return _streams(path, dict(_of_structures({k: v for k, v in content.items() if not k.startswith("__")}, 0)))
 
 
 def read_hdf5(path: Path) -> tuple[Stream, ...]:
@@ -79,7 +79,7 @@ def read_hdf5(path: Path) -> tuple[Stream, ...]:
 
     def visit(name: str, item: Any) -> None:
         nonlocal size
-        if isinstance(item, h5py.Dataset) and item.dtype.kind in _KINDS and not name.startswith("#"):
+        if isinstance(item, h5py.Dataset) and (item.dtype.kind in _KINDS or item.dtype.names) and not name.startswith("#"):
             size += item.nbytes
             if size > _LARGEST:
                 raise ValueError(f"it would take more than {size / 1e9:.0f} GB")
@@ -93,7 +93,7 @@ def read_hdf5(path: Path) -> tuple[Stream, ...]:
             file.visititems(visit)
     except Exception as error:  # h5py raises whatever a damaged file leads to
         raise _unreadable(path, "an HDF5 file", error) from None
-    return _streams(path, found)
+    return _streams(path, _named_fields(found))
 
 
 def _unreadable(path: Path, what: str, error: BaseException) -> InputError:
@@ -101,14 +101,16 @@ def _unreadable(path: Path, what: str, error: BaseException) -> InputError:
     return InputError(f"cannot be read as {what} ({reason})", file=path.name, remedy="is it cut off? write it again")
 
 
-def _of_structures(content: Mapping[str, Any], path: str, depth: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Arrays of MATLAB's structures by the path to them."""
-    for name, value in content.items():
+def _of_structures(content: Mapping[str, Any], depth: int) -> Iterator[tuple[str, np.ndarray]]:
+    """Arrays by the path to them, through MATLAB's structures, ``log/q``, and arrays of structures and cells, ``log(1)/q``."""
+    for path, value in content.items():
         fields = getattr(value, "_fieldnames", None)
-        if fields is not None and depth < _DEEPEST:
-            yield from _of_structures({f: getattr(value, f) for f in fields}, f"{path}{name}/", depth + 1)
+        if depth < _DEEPEST and fields is not None:
+            yield from _of_structures({f"{path}/{field}": getattr(value, field) for field in fields}, depth + 1)
         elif isinstance(value, np.ndarray) and value.dtype.kind in _KINDS:
-            yield f"{path}{name}", value
+            yield path, value
+        elif depth < _DEEPEST and isinstance(value, np.ndarray) and value.dtype.kind == "O":
+            yield from _of_structures({f"{path}({k})": part for k, part in enumerate(value.ravel("F"), 1)}, depth + 1)
 
 
 def _named_fields(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

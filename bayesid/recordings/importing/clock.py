@@ -77,6 +77,9 @@ def table_clock(stream: Stream, column: str, unit: str | None, source: str, pose
     """
     values = stream.columns[column]
     name = f'column "{cut(column)}"'
+    if values.dtype.kind == "m":  # durations, whose unit is known
+        seconds = np.where(np.isnat(values), np.nan, values / np.timedelta64(1, "s"))
+        return RowTimes("column", f"{name} (durations)", seconds, None, column=column)
     if values.dtype.kind not in "fiubM" or unit == "iso":
         values = _dates(values, column, source)
     if values.dtype.kind == "M":
@@ -97,10 +100,11 @@ def table_clock(stream: Stream, column: str, unit: str | None, source: str, pose
         unit = next(dates, "s")
     per = _PER_SECOND[unit]
     if not _DATES[0] < first / per < _DATES[1]:
-        times = values / per if per > 1 else values.astype(np.float64)
+        times = values.astype(np.float64) / per
         return RowTimes("column", f"{name} in {_WORDS[unit]}", times, None, column=column)
     start = int(np.floor(first))  # of whole units, so that what is left is exact
-    times = (values - start) / per
+    # Whole numbers have digits that floating point lacks; those without a sign cannot go below the start.
+    times = (values.astype(np.float64 if values.dtype.kind == "f" else np.int64) - start) / per
     return RowTimes("column", f"{name} in {_WORDS[unit]} since 1970", times, start * (10**9 // per), column=column)
 
 

@@ -76,10 +76,15 @@ def _arrow_column(name: str, column: Any) -> dict[str, np.ndarray]:
     kind = column.type
     if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
         rows = column.to_pylist()
-        widths = {None if row is None else len(row) for row in rows}
-        if len(widths) != 1 or None in widths or not widths - {0}:
+        widths = {len(row) for row in rows if row is not None}
+        if len(widths) != 1 or 0 in widths:
             return {}
-        values = np.asarray(rows)
+        empty = [None] * widths.pop()
+        try:  # entries and rows without a number are such cells
+            values = np.asarray([empty if row is None else row for row in rows])
+            values = values.astype(np.float64) if values.dtype.kind == "O" else values
+        except (TypeError, ValueError):
+            return {}
         return array_columns(name, values) if values.dtype.kind in "fiub" else {}
     if pa.types.is_struct(kind):
         out: dict[str, np.ndarray] = {}

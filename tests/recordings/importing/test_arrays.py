@@ -10,6 +10,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -18,7 +19,7 @@ import scipy.io
 import bayesid
 from bayesid.errors import InputError
 from bayesid.recordings.table import Table
-from tests.recordings.importing.logs import JOINTS, Known, make_known
+from tests.recordings.importing.logs import JOINTS, START, Known, make_known
 
 
 @pytest.fixture(scope="module")
@@ -254,3 +255,62 @@ def test_a_refusal_names_what_may_be_meant_first(known, tmp_path):
     columns = {"t": "clock/clock", "q": "rec/act_pos_rad[0:2]", "tau": "rec/kept[0:2]"}
     table = bayesid.read_recording(tmp_path / "log.mat", known.urdf, joints=JOINTS, columns=columns).experiment.motions[0].table
     np.testing.assert_array_equal(table.positions, known.q)
+
+
+#: Times as arrays of kinds whose arithmetic is not that of floats: whole numbers without a sign, which lack what is below zero,
+#: short floats, and durations.
+TIMES = {
+    "t uint64": lambda known: (START + 200 + known.ns).astype(np.uint64),  # nearest float: 56 ns later
+    "t_ms float32": lambda known: (1e6 + known.t * 1e3).astype(np.float32),
+    "t m8": lambda known: known.ns.astype("m8[ns]"),
+}
+
+
+@pytest.mark.parametrize("kind", TIMES)
+def test_times_of_other_kinds_of_numbers_are_exact(kind, known, tmp_path):
+    times = TIMES[kind](known)
+    np.savez(tmp_path / "log.npz", **{kind.split()[0]: times}, q=known.q, tau=known.tau)
+    table = bayesid.read_recording(tmp_path / "log.npz", known.urdf, joints=JOINTS).experiment.motions[0].table
+    np.testing.assert_allclose(table.times - table.times[0], known.t, rtol=0.0, atol=1e-9)
+    if kind == "t m8":
+        frame = pd.DataFrame({"t": pd.to_timedelta(times), "q": list(known.q), "tau": list(known.tau)})
+        frame.to_parquet(tmp_path / "log.parquet")
+        again = bayesid.read_recording(tmp_path / "log.parquet", known.urdf, joints=JOINTS).experiment.motions[0].table
+        np.testing.assert_array_equal(again.times, table.times)
+
+
+def test_a_table_in_hdf5_is_read_by_its_fields(known, tmp_path):
+    rows = np.rec.fromarrays([known.t, *known.q.T, *known.tau.T], names="t,q1,q2,tau1,tau2")
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["run/samples"] = rows
+    table = bayesid.read_recording(tmp_path / "log.h5", known.urdf, joints=JOINTS).experiment.motions[0].table
+    np.testing.assert_array_equal(table.positions, known.q)
+    np.testing.assert_array_equal(table.torques, known.tau)
+
+
+@pytest.mark.parametrize("kind", ["structures", "cells"])
+def test_arrays_of_structures_and_cells_of_matlab_are_read_by_their_numbers(kind, known, tmp_path):
+    """Simulink's "structure with time" has an array of signals, one a port."""
+    if kind == "structures":
+        signals = np.zeros(2, dtype=[("values", object), ("dimensions", object), ("label", object)])
+        signals[0], signals[1] = (known.q, 2.0, "angles"), (known.tau, 2.0, "moments")
+        scipy.io.savemat(tmp_path / "log.mat", {"out": {"time": known.t, "signals": signals}})
+        columns = {"q": "out/signals(1)/values", "tau": "out/signals(2)/values"}
+    else:
+        cells = np.empty(2, object)
+        cells[:] = [known.q, known.tau]
+        scipy.io.savemat(tmp_path / "log.mat", {"t": known.t, "data": cells})
+        columns = {"q": "data(1)", "tau": "data(2)"}
+    made = bayesid.read_recording(tmp_path / "log.mat", known.urdf, joints=JOINTS, columns=columns)
+    np.testing.assert_array_equal(made.experiment.motions[0].table.positions, known.q)
+    np.testing.assert_array_equal(made.experiment.motions[0].table.torques, known.tau)
+
+
+@pytest.mark.parametrize("hole", [None, [None, 1.0], [np.nan, 1.0]], ids=["row", "entry", "nan"])
+def test_a_list_without_a_number_is_a_row_without_a_reading(hole, known, tmp_path):
+    """pandas writes NaN in lists as an entry that is absent; a column with one was passed over."""
+    frame = pd.DataFrame({"t": known.t, "q": list(known.q), "tau": list(known.tau)})
+    frame.at[7, "tau"] = hole
+    frame.to_parquet(tmp_path / "log.parquet")
+    table = bayesid.read_recording(tmp_path / "log.parquet", known.urdf, joints=JOINTS).experiment.motions[0].table
+    np.testing.assert_array_equal(table.torques, np.delete(known.tau, 7, axis=0))
