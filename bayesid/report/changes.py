@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from bayesid.arguments import argument, call
 from bayesid.diagnosis.changes.findings import HiddenChange, NamedChange, ReferenceComparison
@@ -26,7 +27,9 @@ from bayesid.section import Html, ShownSection, ShownTable
 
 #: Bars in the picture of the evidence.
 _BARS = 12
-_HEIGHT, _TOP, _BOTTOM = 150.0, 26.0, 46.0
+_HEIGHT, _TOP, _BOTTOM, _LINE = 150.0, 26.0, 46.0, 14.0
+#: Letters below a picture that have room beside each other.
+_LETTERS = 120
 _VERDICTS = {
     "named": ("changed", "fair"), "named_in_part": ("changed, named in part", "fair"), "ambiguous": ("ambiguous", "fair"),
     "unknown": ("changed, unknown", "bad"), "nothing_missing": ("nothing changed", "good"),
@@ -220,7 +223,7 @@ def _course(result: Watch, values: Sequence[float], title: str, needed: float | 
     entries, shown = result.recordings, np.array(values, float)
     changed = np.array([bool(w.changes) or w.verdict == "unknown" for w in entries], bool)
     figure, axes = make_grid(1, 1, 1.8, top=0.4, ax=ax)
-    panel, x = axes[0, 0], np.arange(len(entries))
+    panel, x = axes[0, 0], np.arange(1, len(entries) + 1)
     panel.plot(x, shown, color="#94a3b8", lw=0.9)
     for part, colour, label in ((changed, PREDICTED, "changed"), (~changed, NOISE, "nothing changed")):
         if part.any():
@@ -228,7 +231,12 @@ def _course(result: Watch, values: Sequence[float], title: str, needed: float | 
     if needed is not None:
         panel.axhline(needed, color="#334155", lw=0.9, label="asked for")
     panel.set_ylim(0.0, 1.08 * panel.get_ylim()[1])
-    panel.set_xticks(x, [w.name if len(w.name) < 18 else f"{w.name[:16]}…" for w in entries])
+    names = [w.name if len(w.name) < 18 else f"{w.name[:16]}…" for w in entries]
+    if len(names) * max(map(len, names)) <= _LETTERS:
+        panel.set_xticks(x, names)
+    else:  # names would hide one another
+        panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+        panel.set_xlabel("recording, counted as in the table")
     panel.set_title(title)
     add_legend(axes)
     return figure
@@ -243,16 +251,16 @@ def _sizes(result: Watch) -> list[Markup]:
             v = x.values[0]
             both = units.setdefault(v.unit, {}).setdefault(f"{x.change.spec} {v.name}", np.full((2, count), np.nan))
             both[:, k] = v.value, HALF * v.std
-    return [_size_chart(series, count, f"Size of the changes named [{unit}]") for unit, series in units.items()]
+    return [size_chart(series, count, f"Size of the changes named [{unit}]") for unit, series in units.items()]
 
 
-def _size_chart(series: Mapping[str, np.ndarray], count: int, title: str) -> Markup:
+def size_chart(series: Mapping[str, np.ndarray], count: int, title: str) -> Markup:
     """Values and half their intervals (2, count) by name, nan where not named."""
     ends = np.concatenate([v + s * np.nan_to_num(h) for v, h in series.values() for s in (-1.0, 1.0)])
     low, high = min(0.0, float(np.nanmin(ends))), max(0.0, float(np.nanmax(ends)))
     room = 0.08 * (high - low or 1.0)
     panel = Panel(56.0, _TOP, WIDTH - 76.0, _HEIGHT, (0.5, count + 0.5), (low - room * (low < 0.0), high + room))
-    parts, at = [panel.frame(title, "recording", whole=True)], panel.left
+    parts, at, line = [panel.frame(title, "recording", whole=True)], panel.left, 0
     x = np.arange(1.0, count + 1.0)
     for k, (name, (value, half)) in enumerate(series.items()):
         colour, seen = CYCLE[k % len(CYCLE)], np.isfinite(value)
@@ -260,9 +268,11 @@ def _size_chart(series: Mapping[str, np.ndarray], count: int, title: str) -> Mar
             if np.isfinite(h):
                 parts.append(panel.curve(np.array([place, place]), np.array([v - h, v + h]), colour))
         parts.append(panel.dots(x[seen], value[seen], colour, 3.0))
-        parts.append(write(at, _TOP + _HEIGHT + _BOTTOM + 6.0, f"● {name}", 9.0, colour))
+        if k and at + text_width(name) > WIDTH - 28.0:
+            at, line = panel.left, line + 1
+        parts.append(write(at, _TOP + _HEIGHT + _BOTTOM + 6.0 + _LINE * line, f"● {name}", 9.0, colour))
         at += text_width(name) + 28.0
-    return chart(_TOP + _HEIGHT + _BOTTOM + 16.0, parts)
+    return chart(_TOP + _HEIGHT + _BOTTOM + 16.0 + _LINE * line, parts)
 
 
 @figures_of.register

@@ -17,7 +17,10 @@ from markupsafe import Markup, escape
 from bayesid.recordings.experiment import Motion
 from bayesid.recordings.table import WRENCH_COLUMNS
 
-CYCLE = ("#1d4ed8", "#c2410c", "#0f766e", "#7c3aed", "#be185d", "#a16207", "#475569", "#0891b2", "#65a30d", "#dc2626")
+CYCLE = (
+    "#1d4ed8", "#c2410c", "#0f766e", "#7c3aed", "#be185d", "#a16207", "#475569", "#0891b2", "#65a30d", "#dc2626",
+    "#f472b6", "#14b8a6", "#facc15", "#4c1d95", "#a3a3a3", "#38bdf8",
+)  # fmt: skip
 WIDTH = 748.8
 #: A point of a curve closer than this to the line between its neighbours is not drawn.
 _FLAT = 0.12

@@ -62,7 +62,8 @@ def joint_ranges(
 
 def recording(times: np.ndarray, groups: Sequence[Group], gaps: Sequence[int] = (), poses: bool = False) -> Markup:
     """Groups of curves over time [s], or numbered poses, a panel a group; no line is drawn across ``gaps``, as by `recorded`."""
-    left, right, top, height, gap = 50.4, 72.0, 18.0, 108.0, 24.0
+    left, right, top, gap = 50.4, 72.0, 18.0, 24.0
+    height = max(108.0, _LINE * max(len(names) for _, names, _ in groups))  # names of all curves have room beside them
     x = np.arange(1.0, len(times) + 1) if poses else times
     x = np.insert(x, list(gaps), np.nan)
     across, parts = limits([x], 0.03 if poses else 0.01), []

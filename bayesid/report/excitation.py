@@ -17,7 +17,7 @@ from bayesid.report.page import bullets, cards, figure, fold, how, lead, note, p
 from bayesid.results import excitation as results
 from bayesid.results.excitation import TRAJECTORY, DistinguishingMotion, Excitation
 from bayesid.results.files import report_of
-from bayesid.rounding import DASH, number, percent
+from bayesid.rounding import DASH, counted, number, percent
 from bayesid.section import Html, ShownSection, ShownTable
 from bayesid.simulation.trajectories import Trajectory
 
@@ -69,7 +69,7 @@ def limit_shares(rows: Sequence[tuple[str, str, float]]) -> Markup:
 
 def beside_random(value: float, others: np.ndarray, label: str) -> Markup:
     """The criterion of the motion, larger is better, beside that of random motions within the same limits."""
-    names = [f"{len(others)} random motions", "this motion"]
+    names = [counted(len(others), "random motion"), "this motion"]
     places = np.cumsum([0.0, key_width(names[0])])
     panel = Panel(30.0, 24.0, WIDTH - 60.0, 46.0, limits([np.append(others, value)], 0.05), (0.0, 1.0))
     spread = 0.2 + 0.6 * (np.arange(len(others)) * 0.618034 % 1.0)  # so that dots do not hide each other
@@ -210,7 +210,7 @@ def _cards(result: Excitation) -> list[tuple[str, str, str]]:
     ]
     if len(result.random):
         what = "condition number" if result.criterion == "condition" else "typical standard deviation"
-        text = f"smaller {what} than the best of {len(result.random)} random motions"
+        text = f"smaller {what} than the best of {counted(len(result.random), 'random motion')}"
         large.append((f"{number(result.gain, 2)} ×", text, "good" if result.gain > 1 else "fair"))
     return large
 

@@ -53,7 +53,8 @@ def curves(
     wanted = {every[k] for k in picked(every, channels)}
     shown = [(title, [(k, n) for k, n in enumerate(names) if n in wanted], values) for title, names, values in groups]
     shown = [group for group in shown if group[1]]
-    figure, axes = make_grid(len(shown), 1, 1.35, right=0.85, top=0.35, sharex=True, ax=ax)
+    height = max(1.35, 0.205 * max(len(names) for _, names, _ in shown))  # names of all curves have room beside them
+    figure, axes = make_grid(len(shown), 1, height, right=0.85, top=0.35, sharex=True, ax=ax)
     x = np.insert(np.arange(1.0, len(times) + 1) if poses else times, list(gaps), np.nan)
     for panel, (title, names, values) in zip(axes[:, 0], shown, strict=True):
         for k, name in names:

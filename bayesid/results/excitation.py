@@ -17,7 +17,7 @@ from bayesid.design.excitation.series import FourierSeries
 from bayesid.design.tell.choose import Telling
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.results.files import SCHEMA, Files, ShownResult, strict
-from bayesid.rounding import number, percent
+from bayesid.rounding import counted, number, percent
 from bayesid.section import ShownTable, powers
 from bayesid.simulation.trajectories import Trajectory, write_trajectory
 
@@ -224,7 +224,7 @@ class Excitation(ShownResult):
             self.criterion_text,
         ]
         if len(self.random):
-            smaller = f"{number(self.gain, 2)} times smaller than with the best of {len(self.random)} random motions"
+            smaller = f"{number(self.gain, 2)} times smaller than with the best of {counted(len(self.random), 'random motion')}"
             whole = self.criterion == "condition"
             lines.append(
                 f"condition number {smaller}" if whole else f"standard deviations about {smaller} within the same limits"

@@ -7,6 +7,7 @@ import pytest
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 
+from bayesid.report.changes import size_chart
 from bayesid.report.charts import Panel, tick_labels
 from bayesid.report.charts import ticks as find_ticks
 from bayesid.report.check import joint_ranges, recording
@@ -57,6 +58,20 @@ def test_recordings_are_readable(start, scale, middle):
     assert_readable(recording(times, panels, [500], False))
     few = [(title, names, v[:9]) for title, names, v in panels]
     assert_readable(recording(times[:9], few, [], True))
+
+
+@pytest.mark.parametrize("count", [7, 16])
+def test_recordings_of_many_joints_are_readable(count):
+    times = np.arange(0.0, 10.0, 0.1)
+    values = np.sin(times[:, None] * np.arange(1, count + 1))
+    svg = recording(times, [(name, [f"{name}{j + 1}" for j in range(count)], values) for name in ("q", "tau")])
+    assert_readable(svg)
+    assert len(set(re.findall(r'<path[^>]* fill="none" stroke="(#\w+)"', svg))) == count
+
+
+def test_sizes_of_many_changes_are_readable():
+    series = {f"viscous_friction@joint{j} coefficient": np.array([[np.nan, j], [np.nan, 0.3]]) for j in range(1, 8)}
+    assert_readable(size_chart(series, 2, "Size of the changes named [N m s/rad]"))
 
 
 def test_one_pose_is_drawn():

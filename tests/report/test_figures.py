@@ -1,11 +1,13 @@
 import itertools
 import re
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from bayesid.report.changes import gap_figure
 from bayesid.report.figures import to_svg
 from bayesid.report.identification_figures import parameter_intervals
 from bayesid.report.motion_figures import measured_against_predicted, noise_in_band, residuals
@@ -131,6 +133,15 @@ def test_poses_and_motions_without_a_spectrum():
     for p in (prediction(samples=24, poses=True), prediction(samples=40, spectrum=False), prediction(samples=1, poses=True)):
         assert_readable(measured_against_predicted(p))
         assert_readable(residuals(p))
+
+
+@pytest.mark.parametrize("count", [1, 6, 12, 200])
+def test_series_of_few_and_many_recordings_are_readable(count):
+    """Names below the picture where they have room, numbers where they are too many."""
+    entries = [SimpleNamespace(name=f"2026-11-{k:03d}-night", changes=(), verdict="unknown", gap=1.0 + k) for k in range(count)]
+    figure = gap_figure(SimpleNamespace(recordings=entries))
+    assert_readable(figure)
+    assert ("2026-11-000-night" in [text for text, _ in texts(figure)[0]]) == (count <= 6)
 
 
 def test_lines_are_not_drawn_across_gaps():
