@@ -97,6 +97,11 @@ def unit_text(unit: str) -> str:
 _CHANNELS = {"wrench": "sensor's wrench", "torque": "joint torques", "both": "sensor's wrench and joint torques"}
 
 
+def channel_name(channel: str) -> str:
+    """What was fitted, in a word behind *the*."""
+    return "wrench and torque" if channel == "both" else channel
+
+
 def channel_text(channel: str, motions: Iterable[str] = ()) -> str:
     """The readings that were fitted, in words, and of which motions."""
     return " of ".join(filter(None, (_CHANNELS[channel], ", ".join(motions))))

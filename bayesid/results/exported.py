@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bayesid.results.files import SCHEMA, Files, ShownResult
+from bayesid.rounding import channel_name
 from bayesid.section import ShownTable
 
 
@@ -52,7 +53,7 @@ class Exported(ShownResult):
         return f"<Exported {self.name}: {', '.join(self.to)}>"
 
     def _parts(self) -> list[str | ShownTable]:
-        lines = [f"{self.name}, {self.method} from the {self.channel}:"]
+        lines = [f"{self.name}, {self.method} from the {channel_name(self.channel)}:"]
         lines += [f"{form}: {text}" for form, text in self.about.items()]
         for form, values in self.left_out.items():
             count = Counter(name.partition("@")[0] for name in values)

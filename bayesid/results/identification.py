@@ -35,7 +35,7 @@ from bayesid.results.fitted_model import (
     robot_section,
 )
 from bayesid.robot.urdf import write_urdf
-from bayesid.rounding import LEVEL
+from bayesid.rounding import LEVEL, channel_name
 from bayesid.section import as_html, as_text
 from bayesid.validation.agreement import Agreement
 from bayesid.validation.noise_floor import NoiseFloor
@@ -209,7 +209,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
         p = self.problem
         return (
             f"<Identification of {p.experiment.name} by {self.estimate.method}: {self.base.rank} base parameters from the "
-            f"{p.channel} of {', '.join(p.fitted)}>"
+            f"{channel_name(p.channel)} of {', '.join(p.fitted)}>"
         )
 
     def __str__(self) -> str:
@@ -306,7 +306,8 @@ def summary(result: Identification) -> str:
     e, p, first = result.estimate, result.problem, [*result.unusable, *conflicts(result.prior_check)]
     lines = [
         *(f"warning: {text}" for text in first),
-        f"{p.experiment.name}: {e.base.rank} base parameters from the {p.channel} of {', '.join(p.fitted)} ({e.method})",
+        f"{p.experiment.name}: {e.base.rank} base parameters from the {channel_name(p.channel)} of {', '.join(p.fitted)} "
+        f"({e.method})",
         f"  bandwidth of the motion {p.smoother.bandwidth:.3g} Hz ({p.smoother.reason})",
     ]
     for prediction in (*result.fitted, *result.validation):

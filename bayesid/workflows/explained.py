@@ -18,6 +18,7 @@ from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.fitted_model import fitted_model
 from bayesid.results.identification import Identification
 from bayesid.results.payload import EffectBeside
+from bayesid.rounding import HALF
 from bayesid.workflows.diagnose import diagnose
 from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import Clock
@@ -83,6 +84,7 @@ def explain(
         names = ", ".join(e.spec for e in effects)
         notes = (*notes, f"The readings also hold {names}. A fit with it does not converge: the values are without it.")
         return Explained(first, first, (), tuple(replace(e, in_model=False) for e in effects), found, notes)
+    effects = tuple(_as_fitted(e, best) for e in effects)
     rivals = []
     for f in beside:
         for rival, _ in f.rivals if f.term in terms else ():
@@ -109,6 +111,16 @@ def _refit(found: Diagnosis, options: FitOptions, terms: Sequence[Term]) -> Iden
         return identify(replace(experiment, effects=effects, effect_values=values), options=options, progress=None)
     except BayesidError:
         return None
+
+
+def _as_fitted(effect: EffectBeside, fit: Identification) -> EffectBeside:
+    """An effect with the values that a fit with it in the model gives, as `calibrate` tells them."""
+    for found in fit.effects():
+        if (found["name"], found["where"]) == (effect.name, effect.where):
+            stds = {k: np.nan if p["std"] is None else p["std"] for k, p in found["parameters"].items()}
+            values = {k: (p["value"], stds[k], p["unit"]) for k, p in found["parameters"].items()}
+            return replace(effect, values=values, wider=half_interval(degrees_of_freedom(fit.problem, fit.estimate)) / HALF)
+    return effect
 
 
 def _effect(term: Term, std: np.ndarray, rivals: Sequence[Term]) -> EffectBeside:

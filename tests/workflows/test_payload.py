@@ -89,6 +89,11 @@ def test_poses_of_a_real_wrist_say_what_numpy_says_of_them(shared):
     assert not any(q.shown for q in result.inertia) and "Inertia not shown" in str(result)
     assert result.inertia_bound == pytest.approx(result.mass.high * 0.01) and result.extent_assumed
     assert {e.name for e in result.effects} == {"sensor_crosstalk"} and result.effects[0].ambiguous_with
+    told = bayesid.calibrate(folder).found  # the same poses: the same values, with the same intervals
+    for effect in result.to_dict()["effects"]:
+        (quantity,) = told[f"{effect['name']}@{effect['where']}"]
+        one, other = effect["parameters"]["coefficient"], (quantity.value, quantity.low, quantity.high)
+        np.testing.assert_allclose([one["value"], one["low"], one["high"]], other, rtol=1e-9)
     assert any("contradict" in w for w in result.warnings)  # the motions do, and are not averaged in
 
 
