@@ -240,12 +240,14 @@ def _meant(column: str, header: list[str]) -> str:
 
 
 def count_lines(path: Path, source: str, width: int, separator: str = ",", skipped: int = 0) -> int:
-    """Count the lines; refuse one with more or fewer cells than the header.
+    """Count the lines; refuse one with more or fewer cells than the header. Where blanks separate, any number of them does.
 
     pandas fills and drops cells without a word where columns are chosen, so that one stray or missing comma would shift the
     numbers of its row into other columns. ``width`` is that of the header in cells; ``skipped`` lines before it may be of any
     width.
     """
+    if separator == " ":
+        return _count_blanks(path, source, width, skipped)
     lines = 0
     with path.open("rb") as handle:
         while block := handle.read(_BLOCK_BYTES) + handle.readline():
@@ -279,6 +281,16 @@ def _count_quoted(path: Path, source: str, width: int, separator: str, skipped: 
                 f"line {reader.line_num}: cannot be read as CSV ({error})", file=source, remedy="check the quotes there"
             ) from None
     return reader.line_num + 1
+
+
+def _count_blanks(path: Path, source: str, width: int, skipped: int) -> int:
+    """The same for a table whose cells are apart by blanks: below the header, which may begin with a mark."""
+    line = 0
+    with path.open(encoding="utf-8-sig", errors="replace") as handle:
+        for line, text in enumerate(handle, 1):
+            if line > skipped + 1 and len(cells := text.split()) != width and cells:
+                _refuse_width(len(cells), width, line, source)
+    return line + 1
 
 
 def _refuse_width(cells: int, width: int, line: int, source: str) -> NoReturn:

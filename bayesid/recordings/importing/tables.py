@@ -23,7 +23,7 @@ _LONGEST_LINE = 1 << 20  # of a text that is a table [bytes]
 
 
 def read_csv(path: Path) -> Stream:
-    """Read a table of texts; commas, semicolons, tabs or bars separate, and decimals have a comma where semicolons do.
+    """Read a table of texts; commas, semicolons, tabs, bars or blanks separate, and but for commas decimals may have one.
 
     An `InputError` where it is binary, empty, without a header, or with rows of another width, as a file that was cut off has.
     """
@@ -31,18 +31,17 @@ def read_csv(path: Path) -> Stream:
 
     lines, wrong = _first_lines(path), partial(InputError, file=path.name)
     skipped, separator = _header_line(lines, path.name)
-    header = [
-        name.strip() for name in next(csv.reader([lines[skipped].lstrip("# ")], delimiter=separator, skipinitialspace=True))
-    ]
+    header = [name.strip() for name in _cells(lines[skipped].lstrip("# "), separator)]
     trailing = len(header) > 1 and not header[-1]  # some loggers end every line with a separator
     for name in header[: len(header) - trailing]:
         if header.count(name) > 1 and name:
             raise wrong(f"there are {header.count(name)} of it", key=f"column {cut(name)}", remedy="keep one")
-    decimal = "," if separator == ";" and any(re.search(r"\d,\d", line) for line in lines[skipped + 1 :]) else "."
+    decimal = _decimal(lines[skipped + 1 :], separator)
     count_lines(path, path.name, len(header), separator, skipped)
+    between = r"\s+" if separator == " " else separator
     try:
         frame: Any = pd.read_csv(
-            path, sep=separator, decimal=decimal, header=None, names=list(range(len(header))), skiprows=skipped + 1,
+            path, sep=between, decimal=decimal, header=None, names=list(range(len(header))), skiprows=skipped + 1,
             index_col=False, skipinitialspace=True, encoding="utf-8-sig", low_memory=False,
         )  # fmt: skip
     except (ValueError, OverflowError) as error:  # pandas' parser errors and Unicode's are ValueErrors too
@@ -104,39 +103,54 @@ def _first_lines(path: Path) -> list[str]:
         text = block.decode("utf-8-sig", errors="strict" if len(block) < _LONGEST_LINE else "ignore")
     except UnicodeDecodeError:
         raise wrong("is not UTF-8 text") from None
-    return text.splitlines()[: 10 * _SNIFFED]
+    lines = text.splitlines()
+    return (lines if len(block) < _LONGEST_LINE or len(lines) < 2 else lines[:-1])[: 10 * _SNIFFED]  # the last may be cut
 
 
 def _header_line(lines: list[str], source: str) -> tuple[int, str]:
     """Index of the line that names the columns, after comments and blank lines, and what separates them."""
-    filled = [k for k, line in enumerate(lines) if line.strip()]
-    first = next((k for k in filled if not is_number(lines[k].strip().split(",")[0])), None)
+    filled = [k for k, line in enumerate(lines) if line.strip() and not re.fullmatch(r"\s*sep=.\s*", line)]  # sep= is Excel's
+    first = next((k for k in filled if not is_number(re.split(r"[,;|\s]", lines[k].strip())[0])), None)
     if first is None:
         if filled:
-            raise InputError("line 1 holds numbers", file=source, remedy="write a header that names the columns")
+            raise InputError(f"line {filled[0] + 1} holds numbers", file=source, remedy="write a header that names the columns")
         raise InputError("is empty", file=source, remedy="give a table with a header and one row per sample")
     for after in [k for k in filled if k > first]:  # remarks before a header, which may begin as they do
-        if not lines[after].lstrip().startswith("#") and not _is_remark(lines[first], lines[after]):
+        if not lines[after].lstrip().startswith(("#", "%")) and not _is_remark(lines[first], lines[after]):
             break
         first = after
     counts = {separator: lines[first].count(separator) for separator in _SEPARATORS}
     separator = max(counts, key=lambda s: counts[s])
-    if not counts[separator] and len({len(line.split(" ")) for line in lines[first:] if line}) == 1:
-        counts[" "] = lines[first].count(" ")  # as logs of Universal Robots' RTDE have it
-        separator = " "
+    widths = {len(_cells(line.lstrip("# "), " ")) for line in lines[first:] if line.strip()}
+    if not counts[separator] and len(widths) == 1 and widths != {1}:
+        return first, " "  # as numpy, and logs of Universal Robots' RTDE, have it
     if not counts[separator]:
         problem = f'line {first + 1} names one column, "{cut(lines[first].strip())}"'
         raise InputError(problem, file=source, remedy="separate columns with commas, semicolons or tabs")
     return first, separator
 
 
+def _cells(line: str, separator: str) -> list[str]:
+    """Cells of a line; any number of blanks separates where blanks do."""
+    return line.split() if separator == " " else next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+
+
+def _decimal(lines: list[str], separator: str) -> str:
+    """What decimals are written with: a comma where some cells of numbers have one and none has a point."""
+    if separator == ",":
+        return "."
+    cells = [cell.strip(' "') for line in lines for cell in (line.split() if separator == " " else line.split(separator))]
+    commas, points = (any(re.fullmatch(rf"[-+]?\d*{mark}\d+(?:[eE][-+]?\d+)?", cell) for cell in cells) for mark in (",", "[.]"))
+    return "," if commas and not points else "."
+
+
 def _is_remark(line: str, after: str) -> bool:
-    """Whether a line that begins with # names no columns: a line of another number of names comes after it."""
+    """Whether a line that begins with # or % names no columns: a line of another number of names comes after it."""
     separators = (*_SEPARATORS, " ") if not any(s in after for s in _SEPARATORS) else _SEPARATORS
     separator = max(separators, key=after.count)
     begins = after.strip().split(separator)[0].strip()
-    alike = line.strip().lstrip("# ").count(separator) == after.strip().count(separator)
-    return line.lstrip().startswith("#") and not is_number(begins) and not alike
+    alike = line.strip().lstrip("#% ").count(separator) == after.strip().lstrip("#% ").count(separator)
+    return line.lstrip().startswith(("#", "%")) and not is_number(begins) and not alike
 
 
 def _by_joint(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

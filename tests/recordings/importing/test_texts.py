@@ -1,0 +1,77 @@
+"""Texts as other tools write tables: what separates cells, what decimals are written with, and what stands above the names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bayesid
+from bayesid.errors import InputError
+from tests.recordings.importing.logs import JOINTS, Known, make_known
+
+NAMES = ["t", "q1", "q2", "tau1", "tau2"]
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> Known:
+    return make_known(tmp_path_factory.mktemp("known"), duration=2.0)
+
+
+def frame(known: Known) -> pd.DataFrame:
+    return pd.DataFrame(np.column_stack([known.t, known.q, known.tau]), columns=NAMES)
+
+
+def csv(**options) -> Callable[[Path, pd.DataFrame], object]:
+    return lambda path, frame: frame.to_csv(path, index=False, **options)
+
+
+def numpy(**options) -> Callable[[Path, pd.DataFrame], object]:
+    return lambda path, frame: np.savetxt(path, frame.to_numpy(), **options)
+
+
+def above(text: str, **options) -> Callable[[Path, pd.DataFrame], object]:
+    return lambda path, frame: path.write_text(text + frame.to_csv(index=False, **options), encoding="utf-8")
+
+
+#: By what is written: the writer, and how exact numbers are in the text.
+TEXTS = {
+    "tabs and decimal commas": (csv(sep="\t", decimal=","), 0.0),
+    "bars and decimal commas": (csv(sep="|", decimal=","), 0.0),
+    "semicolons and decimal points": (csv(sep=";"), 0.0),
+    "quoted decimal commas": (csv(sep=";", decimal=",", quoting=1), 0.0),
+    "blanks, as savetxt has it": (numpy(header=" ".join(NAMES)), 0.0),
+    "blanks, and a header without a mark": (numpy(header=" ".join(NAMES), comments=""), 0.0),
+    "columns of one width": (lambda path, frame: path.write_text(frame.to_string(index=False)), 1e-6),
+    "blanks and decimal commas": (csv(sep=" ", decimal=","), 0.0),
+    "the separator first, for Excel": (above("sep=;\n", sep=";", decimal=","), 0.0),
+    "a remark of MATLAB's": (above("% made by hand\n% "), 0.0),
+}
+
+
+@pytest.mark.parametrize("case", TEXTS)
+def test_a_table_is_read_as_it_was_written(case, known, tmp_path):
+    write, rounding = TEXTS[case]
+    write(tmp_path / "log.txt", frame(known))
+    table = bayesid.read_recording(tmp_path / "log.txt", known.urdf, joints=JOINTS).experiment.motions[0].table
+    for name, values in (("times", known.t), ("positions", known.q), ("torques", known.tau)):
+        np.testing.assert_allclose(getattr(table, name), values, rtol=0.0, atol=rounding)
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " ", "|"])
+def test_numbers_without_names_are_told_as_such(separator, known, tmp_path):
+    """The first row was taken for names of columns, unless commas separate."""
+    csv(sep=separator, header=False)(tmp_path / "log.txt", frame(known))
+    with pytest.raises(InputError, match=r"log.txt: line 1 holds numbers; write a header that names the columns"):
+        bayesid.read_recording(tmp_path / "log.txt", known.urdf, joints=JOINTS)
+
+
+def test_a_row_between_blanks_that_is_cut_off_is_refused(known, tmp_path):
+    numpy(header=" ".join(NAMES))(tmp_path / "log.txt", frame(known))
+    text = (tmp_path / "log.txt").read_text(encoding="utf-8").replace("\n", "\n\n", 1)  # a blank line is none
+    (tmp_path / "log.txt").write_text(text + "2.0 0.1\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"log.txt: line 253: 2 cells where the header has 5"):
+        bayesid.read_recording(tmp_path / "log.txt", known.urdf, joints=JOINTS)
