@@ -14,6 +14,8 @@ UNITS = ("kg", "kg m", "kg m", "kg m") + ("kg m^2",) * 6
 #: Where the ten parameters sit in the 3x3 inertia: I[row, column] = phi[4 + position].
 ROW = np.array([0, 0, 1, 0, 1, 2])
 COLUMN = np.array([0, 1, 1, 2, 2, 2])
+#: Places of URDF's entries in it.
+ENTRIES = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 
 
 def inertia_matrix(parameters: np.ndarray) -> np.ndarray:

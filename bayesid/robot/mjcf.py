@@ -19,6 +19,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from bayesid.errors import InputError, required
+from bayesid.robot.inertia import ENTRIES
 
 #: States that both libraries are compared in, and the largest difference, relative to the largest number: MuJoCo 4 agrees to
 #: rounding, MuJoCo 3 finds principal axes of inertia to 1e-7.
@@ -209,8 +210,7 @@ def _as_urdf(mujoco: Any, model: Any, names: Sequence[str], name: str) -> ET.Ele
             about = axes @ np.diag(model.body_inertia[b]) @ axes.T
             ET.SubElement(inertial, "origin", xyz=_text(model.body_ipos[b] - anchors[b]), rpy="0 0 0")
             ET.SubElement(inertial, "mass", value=_text(model.body_mass[b]))
-            parts = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-            ET.SubElement(inertial, "inertia", {key: _text(about[index]) for key, index in parts.items()})
+            ET.SubElement(inertial, "inertia", {key: _text(about[index]) for key, index in ENTRIES.items()})
     return root
 
 

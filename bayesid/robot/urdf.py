@@ -105,6 +105,5 @@ def _inertial(body: np.ndarray) -> ET.Element:
     element = ET.Element("inertial")
     ET.SubElement(element, "origin", xyz=" ".join(repr(float(c)) for c in com), rpy="0 0 0")
     ET.SubElement(element, "mass", value=repr(float(mass)))
-    names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-    ET.SubElement(element, "inertia", {n: repr(float(about[i])) for n, i in names.items()})
+    ET.SubElement(element, "inertia", {n: repr(float(about[i])) for n, i in inertia.ENTRIES.items()})
     return element

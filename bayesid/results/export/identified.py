@@ -119,7 +119,7 @@ def randomisation(found: IdentifiedRobot) -> dict[str, Any]:
         mass, com, about = (np.array(part) for part in zip(*parts, strict=True))
         bodies[name] = {
             "mass": _summary(mass, "kg"), "centre_of_mass": [_summary(com[:, k], "m") for k in range(3)],
-            "inertia": {key: _summary(about[:, i, j], "kg m^2") for key, (i, j) in _ENTRIES.items()},
+            "inertia": {key: _summary(about[:, i, j], "kg m^2") for key, (i, j) in inertia.ENTRIES.items()},
         }  # fmt: skip
     joints: dict[str, dict[str, Any]] = {name: {} for name in robot.joint_names}
     for k, name in enumerate(found.effect_names):
@@ -130,9 +130,6 @@ def randomisation(found: IdentifiedRobot) -> dict[str, Any]:
                     if own and name == f"{effect.spec}.{key}":
                         joints[robot.joint_names[effect.joint or 0]][constant] = _summary(effects[:, k], unit)
     return {"draws": len(links), "links": bodies, "joints": joints}
-
-
-_ENTRIES = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 
 
 def draws_of(found: IdentifiedRobot) -> tuple[np.ndarray, np.ndarray]:
