@@ -72,14 +72,6 @@ def left_text(prediction: Prediction) -> str:
     return f"{noise}, {100 * prediction.relative_error:.3g} % of the signal"
 
 
-@dataclass(frozen=True, eq=False)
-class OwnFit:
-    """A model as `bayesid.identify` fits it, and what it leaves of each motion."""
-
-    estimate: Estimate
-    predictions: tuple[Prediction, ...]  # of the motions fitted, and of those of role ``validation``
-
-
 @dataclass(frozen=True)
 class Shift:
     """A base parameter without and with effects in the model, in SI units of its label."""
@@ -102,15 +94,15 @@ class BeforeAndAfter:
     refused: str = ""
 
 
-def fit_and_predict(problem: Problem) -> OwnFit:
-    """Fit a model and predict the motions that it was fitted to, and those of role ``validation``."""
+def fit_and_predict(problem: Problem) -> tuple[Estimate, tuple[Prediction, ...]]:
+    """A model as `bayesid.identify` fits it, and its predictions of the motions fitted and of those of role ``validation``."""
     problem, estimate = solve(problem, default_method(problem))
     floor = noise_floor(problem)
     motions = [
         m for m in problem.experiment.motions
         if m.name in problem.segments and (m.name in problem.fitted or m.role == "validation")
     ]  # fmt: skip
-    return OwnFit(estimate, tuple(in_order(partial(predict, problem, estimate, floor=floor), motions)))
+    return estimate, tuple(in_order(partial(predict, problem, estimate, floor=floor), motions))
 
 
 def before_and_after(before: Experiment, after: Experiment | None, options: FitOptions) -> BeforeAndAfter:
@@ -119,20 +111,19 @@ def before_and_after(before: Experiment, after: Experiment | None, options: FitO
     ``options`` say which readings and motions; the effects are those of the experiments.
     """
     try:
-        one = fit_and_predict(prepare(before, options))
+        estimate, predictions = fit_and_predict(prepare(before, options))
     except InputError as error:  # a diagnosis may compare what leaves no rows to fit
         return BeforeAndAfter(
             refused=f"What the model leaves of the motions is not given, for `identify` cannot fit it: {error}."
         )
-    other, refused = None, ""
+    later, shifts, refused = {}, (), ""
     try:
         if after is not None:
-            other = fit_and_predict(prepare(after, options))
+            other, predicted = fit_and_predict(prepare(after, options))
+            later, shifts = {p.motion: p for p in predicted}, _shifts(estimate, other)
     except (InputError, np.linalg.LinAlgError) as error:
         refused = f"What the model with the effects named leaves is not given, for `identify` cannot fit it: {error}."
-    later = {} if other is None else {p.motion: p for p in other.predictions}
-    errors = [MotionErrors(p.motion, p.fitted, p, later.get(p.motion)) for p in one.predictions]
-    shifts = () if other is None else _shifts(one.estimate, other.estimate)
+    errors = [MotionErrors(p.motion, p.fitted, p, later.get(p.motion)) for p in predictions]
     return BeforeAndAfter(tuple(sorted(errors, key=lambda e: e.fitted)), shifts, refused)
 
 

@@ -62,7 +62,7 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
             bandwidth, reason, position_std = problem.smoother.bandwidth, problem.smoother.reason, problem.smoother.position_std
             if problem.regression.rows.fits_in_memory:
                 progress("what a fit would leave")
-                left = fit_and_predict(problem).predictions
+                _, left = fit_and_predict(problem)
     except BayesidError as error:
         reason = reason or str(error)
         warnings.append(f"identify will refuse this folder as it is: {error}")
