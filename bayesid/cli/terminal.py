@@ -46,7 +46,7 @@ def laid_out(text: str, width: int, numbered: Sequence[str] | None = None, *, co
     out: list[str] = []
     shortened: list[int] = []
     after = 0  # the last warning
-    for is_table, lines in groupby(text.split("\n"), _in_table):
+    for is_table, lines in groupby(text.split("\n"), lambda line: re.search(r"\S {2,}\S", line) is not None):
         if is_table:
             out += folded(list(lines), width)
             continue
@@ -117,10 +117,6 @@ def _columns(lines: list[str]) -> list[tuple[int, int]]:
     indent = min(len(line) - len(line.lstrip()) for line in lines)
     blank = "".join(" " if k >= indent and all(line[k] == " " for line in padded) else "x" for k in range(longest))
     return [found.span() for found in re.finditer(r"x(?:x| (?! ))*", blank)]
-
-
-def _in_table(line: str) -> bool:
-    return re.search(r"\S {2,}\S", line) is not None
 
 
 def _short(text: str, room: int) -> str:

@@ -296,12 +296,3 @@ class Term:
         object.__setattr__(self, "values", tuple(float(v) for v in self.values))
         if len(self.values) != len(self.effect.parameters):
             raise ValueError(f"{self.effect.spec} has {len(self.effect.parameters)} parameters, not {len(self.values)}")
-
-
-def by_class(terms: Sequence[Term]) -> dict[type, list[Term]]:
-    """Terms by every class that their effects are of: fits ask a million times, and `isinstance` of an abstract class is slow."""
-    out: dict[type, list[Term]] = {}
-    for term in terms:
-        for family in type(term.effect).__mro__:
-            out.setdefault(family, []).append(term)
-    return out

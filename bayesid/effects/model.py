@@ -28,7 +28,7 @@ from bayesid.dynamics.channels import Channels, torque_channels
 from bayesid.dynamics.kinematics import body_wrenches, channel_twists, is_wrench, link_states, project, readings_of_bodies
 from bayesid.effects import families
 from bayesid.effects.bodies import body_of, rotor_couple, split_matrix
-from bayesid.effects.effect import Effect, Term, by_class
+from bayesid.effects.effect import Effect, Term
 from bayesid.effects.families import JointMotion, Loads, Readout
 from bayesid.effects.flexible import Motion, link_motion, own_inertia
 from bayesid.effects.mount import RigidMountLoad, mount_motion
@@ -85,7 +85,12 @@ class Model:
 
     @cached_property
     def _by_family(self) -> dict[type, list[Term]]:
-        return by_class(self.terms)
+        """Terms by every class of their effects: fits ask a million times, and `isinstance` of an abstract class is slow."""
+        out: dict[type, list[Term]] = {}
+        for term in self.terms:
+            for family in type(term.effect).__mro__:
+                out.setdefault(family, []).append(term)
+        return out
 
     @cached_property
     def wrench(self) -> np.ndarray:

@@ -343,12 +343,12 @@ def along_mass(
     held = HeldCombination(problem, estimate, np.concatenate([slope, np.zeros(len(estimate.solution) - rank)]))
     known = [held.free()]
     for _ in range(_ROUNDS):  # from the lowest point so far, until none is lower
-        first = min(known, key=_height)
+        first = min(known, key=lambda p: p.chi2)
         known = [first, *_outwards(held, first, -1.0, half), *_outwards(held, first, 1.0, half)]
-        if min(known, key=_height).chi2 > first.chi2 - _LOWER:
+        if min(known, key=lambda p: p.chi2).chi2 > first.chi2 - _LOWER:
             break
     known.sort(key=lambda p: p.mass)
-    best = min(known, key=_height)
+    best = min(known, key=lambda p: p.chi2)
     # Noise that was estimated in another valley is another one.
     factor *= best.chi2 / max(len(held.rows(best.at)[0]) - len(best.at), 1)
     level = half**2 * factor
@@ -364,10 +364,6 @@ def along_mass(
     return best.at[:rank] + along * (middle - best.mass), covariance
 
 
-def _height(p: ProfilePoint) -> float:
-    return p.chi2
-
-
 def _outwards(held: HeldCombination, first: ProfilePoint, way: float, half: float) -> list[ProfilePoint]:
     """Points of the profile one way from the first, until the sum of squares is well above the level."""
     known, now, size = [first], first, max(abs(first.mass), 0.01)
@@ -379,7 +375,7 @@ def _outwards(held: HeldCombination, first: ProfilePoint, way: float, half: floa
         now = held.least(mass, now.at)
         known.append(now)
         step *= _GROWTH
-        if now.chi2 > min(map(_height, known)) + half**2 + _ABOVE:
+        if now.chi2 > min(p.chi2 for p in known) + half**2 + _ABOVE:
             break
     return known[1:]
 

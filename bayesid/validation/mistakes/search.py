@@ -167,7 +167,7 @@ class MistakeSearch:
         """Fit robots with each candidate undone, but for those that could be neither named nor listed beside what is."""
         now = self._score(self.null)
         known = {(t.candidate.name, t.candidate.where) for t in self.tried}
-        new = [c for c in every if self._doubtful(c) and (c.name, c.where) not in known]
+        new = [c for c in every if self.doubted[list(c.touched)].all() and (c.name, c.where) not in known]
         bounds = [(self.explainer.highest_score(c.change, self.worth) - now + c.odds, c) for c in new]
         fitted: dict[int, Tried] = {}
         best = self.best.evidence if self.best else 0.0
@@ -179,9 +179,6 @@ class MistakeSearch:
             fitted[k] = Tried(candidate, self._score(fit) - now + candidate.odds, fit)
             best = max(best, fitted[k].evidence)
         self.tried += [fitted[k] for k in sorted(fitted)]
-
-    def _doubtful(self, candidate: Candidate) -> bool:
-        return bool(self.doubted[list(candidate.touched)].all())
 
     def _score(self, fit: RobotFit) -> float:
         return fit.score(self.worth)
