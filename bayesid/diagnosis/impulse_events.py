@@ -17,9 +17,10 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.stats import chi2, norm
 
 from bayesid.diagnosis.settings import Settings
-from bayesid.diagnosis.spectra import SpectralSegment, sensor_noise
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import REST_SPEED
 from bayesid.signals.arrays import runs
+from bayesid.signals.white_noise import quiet_noise
 
 #: Of the high-pass filter.
 _ORDER = 4
@@ -50,7 +51,7 @@ def short_events(segments: Sequence[SpectralSegment], level: float) -> tuple[tup
     moving = [s for s in segments if not s.still and _band(s) is not None]
     if not moving:
         return tuple(() for _ in segments)
-    quiet = sensor_noise(moving)
+    quiet = quiet_noise([s.readings for s in moving])
     looked = sum(len(_edges(s)) - 1 for s in moving) * moving[0].readings.shape[1]
     return tuple(_events(s, quiet, looked, level) if s in moving else () for s in segments)
 

@@ -11,7 +11,7 @@ from scipy.stats import f as f_ratio
 from bayesid.diagnosis.data import WHITE, DiagnosisData
 from bayesid.diagnosis.encoders import Encoders, encoder_count, with_noise
 from bayesid.diagnosis.noise_spectrum import measure
-from bayesid.diagnosis.spectra import SpectralSegment, low_passed, sensor_noise
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.dynamics.regressors import Kernel
 from bayesid.effects import MotionSegment, Term, columns
 from bayesid.effects.loads import Tether
@@ -19,6 +19,7 @@ from bayesid.recordings.table import usual_step
 from bayesid.regression.readings import has_readings, readings_of, rests, stated_noise
 from bayesid.signals.repeats import find_rests
 from bayesid.signals.smoothing import smooth
+from bayesid.signals.white_noise import low_passed, quiet_noise
 
 #: Poses for each column that is fitted to them, at least, before what is left is taken for noise.
 _POSES_A_COLUMN = 2
@@ -54,7 +55,9 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
     everything = [*data.segments, *data.unseen]
     if all(s.apart for s in everything):
         return _poses_with_noise(data, links, terms, rng)
-    sensor = {still: sensor_noise([s for s in everything if s.still == still]) for still in sorted({s.still for s in everything})}
+    # Recordings made in the same way have the same white noise of one sample.
+    readings = {still: [s.readings for s in everything if s.still == still] for still in sorted({s.still for s in everything})}
+    sensor = {still: quiet_noise(read) for still, read in readings.items()}
     moving = [s for s in everything if not s.still]
     count = _encoder_counts(data, moving)
     smooth_ = [smooth(s.times, s.encoders, s.trajectory.bandwidth)[0] for s in moving]
@@ -73,7 +76,7 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
         trajectory = smoothed(segment.times, read, *at)
         return replace(segment, trajectory=trajectory)
 
-    filtered = low_passed(moving)
+    filtered = low_passed([s.readings for s in moving])
     spectrum = data.spectrum
     if not moving[0].covariance.size:  # the sensor's noise is the same whatever the model
         encoders = Encoders(predict, resmooth, count, random, seed)

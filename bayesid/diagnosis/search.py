@@ -38,6 +38,11 @@ class Search:
     #: Effects that the data demanded beside those found, for so small a share that those found may be a little inexact instead.
     dropped: tuple[Term, ...] = ()
 
+    @property
+    def noise_level(self) -> float:
+        """Mean square of whitened residuals that counts as noise when disagreements are looked for."""
+        return max(1.0, min(self.dispersion, self.projector.data.settings.unexplained))
+
 
 def search(projector: NuisanceProjector, terms: Sequence[Term], seed: int, progress: Callable[[str], None]) -> Search:
     """Find what effects the data demand beside the user's ``terms``; ``progress`` is called with the name of every phase."""

@@ -12,7 +12,6 @@ frequency, so that low frequencies tell most, and an unweighted error in the tim
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -24,9 +23,7 @@ from scipy.ndimage import binary_opening, convolve, uniform_filter1d
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.effects import REST_SPEED, MotionSegment
 from bayesid.effects.segment import Results
-from bayesid.signals import white_noise
 from bayesid.signals.arrays import kernel_input
-from bayesid.signals.white_noise import quiet_noise
 
 #: As many kinds of friction as there are, at each joint of a long arm and at every shape that is tried.
 _KEPT = 600
@@ -267,13 +264,3 @@ def taper(times: np.ndarray, whole: np.ndarray, bandwidth: float, settings: Sett
     length = min(max(settings.ramp, 1.5 / bandwidth), 0.25 * (whole[-1] - whole[0]))
     inside = np.clip(np.minimum(times - whole[0], whole[-1] - times) / length, 0.0, 1.0)
     return np.sin(0.5 * np.pi * np.sin(0.5 * np.pi * inside) ** 2) ** 2
-
-
-def sensor_noise(segments: Sequence[SpectralSegment]) -> np.ndarray:
-    """Standard deviation of one sample's white noise (c,) of recordings made in the same way."""
-    return quiet_noise([s.readings for s in segments])
-
-
-def low_passed(segments: Sequence[SpectralSegment]) -> bool:
-    """Whether readings were filtered before they were recorded, so that noise above the band tells nothing of it below."""
-    return white_noise.low_passed([s.readings for s in segments])

@@ -19,11 +19,12 @@ from bayesid.diagnosis.locate import BANDS, by_band, by_window, places_looked_at
 from bayesid.diagnosis.noise import pose_noise
 from bayesid.diagnosis.push import Push
 from bayesid.diagnosis.separation import Visible, visible
-from bayesid.diagnosis.spectra import SpectralSegment, sensor_noise
+from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.diagnosis.validation import residual_spectra
 from bayesid.report.charts import WIDTH, chart, text_width, write
 from bayesid.report.figures import GREY, MEASURED, NOISE, PREDICTED, add_legend, list_rows, make_grid, plain_log, styled
 from bayesid.results.diagnosis import Diagnosis, shown_errors
+from bayesid.signals.white_noise import quiet_noise
 from bayesid.validation.prediction import Prediction
 
 #: Colours: what is left, what is closed, what is neither.
@@ -350,7 +351,7 @@ def diagnosis_views(diagnosis: Diagnosis) -> Views:
     ]  # fmt: skip
     judged = [p for p in pairs if p[2]] or pairs
     return Views(
-        panels=_panels(pairs, diagnosis.noise_level),
+        panels=_panels(pairs, s.noise_level),
         signals=_signals(diagnosis, judged),
         noise=_noise(diagnosis),
         visible=() if s.library is None else visible(s.library),
@@ -419,7 +420,7 @@ def _signals(diagnosis: Diagnosis, judged: list[tuple[SpectralSegment, np.ndarra
 def _noise(diagnosis: Diagnosis) -> tuple[Noise, ...]:
     data = diagnosis.data
     moving = [s for s in (*data.segments, *data.unseen) if not s.still or s.apart]
-    sample = pose_noise(data) if moving[0].apart else sensor_noise(moving)
+    sample = pose_noise(data) if moving[0].apart else quiet_noise([s.readings for s in moving])
     count = sum(len(s.times) for s in moving)
     band = np.sum([len(s.frequencies) * np.mean(s.weight(s.times) ** 2, axis=0) for s in moving], axis=0) / count
     total = np.sum([np.einsum("kcc->c", s.covariance) for s in moving], axis=0) / count

@@ -184,11 +184,6 @@ class Diagnosis(ShownResult):
         return self.data.settings.accept
 
     @property
-    def noise_level(self) -> float:
-        """Mean square of whitened residuals that counts as noise when disagreements are looked for."""
-        return max(1.0, min(self.search.dispersion, self.data.settings.unexplained))
-
-    @property
     def model(self) -> tuple[tuple[str, ...], EffectParameters]:
         """The experiment's model with the named effects added, see `bayesid.results.fitted_model`."""
         experiment = self.data.experiment

@@ -268,7 +268,7 @@ def _places(s: Search, model: Fit) -> tuple[Disagreement, ...]:
     """Find where a model and the data disagree."""
     data: DiagnosisData = s.projector.data
     white = residual_spectra(data, data.segments, model)
-    return locate(data, data.segments, white, max(1.0, min(s.dispersion, data.settings.unexplained)))
+    return locate(data, data.segments, white, s.noise_level)
 
 
 def _with_next_motion(result: Diagnosis, seed: int, progress: Progress) -> Diagnosis:

@@ -40,6 +40,7 @@ from bayesid.effects.families import needs_no_load
 from bayesid.recordings.experiment import load_experiment
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import load_robot
+from bayesid.signals.white_noise import quiet_noise
 from tests.robots import wrist_sensor_arm, write
 
 PLANT = Path(__file__).parents[2] / "case_studies" / "blind_naming"
@@ -201,7 +202,7 @@ def test_white_noise_becomes_unit_rows():
     segment = spectra.SpectralSegment(
         "m", "identification", times, np.sin(times)[:, None], noise, trajectory, False, (), np.zeros(0)
     )
-    np.testing.assert_allclose(spectra.sensor_noise([segment]), [0.5, 0.02], rtol=0.12)
+    np.testing.assert_allclose(quiet_noise([segment.readings]), [0.5, 0.02], rtol=0.12)
     zero = np.zeros(1)
     known = encoders.with_noise(
         segment, lambda s: np.zeros((len(s.trajectory.times), 2)), lambda s, _: s, np.array([0.5, 0.02]), zero, zero, rng

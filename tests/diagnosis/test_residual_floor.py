@@ -15,11 +15,12 @@ from bayesid.diagnosis.encoders import with_noise
 from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.settings import DEFAULT
-from bayesid.diagnosis.spectra import sensor_noise, taper
+from bayesid.diagnosis.spectra import taper
 from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.table import Table
 from bayesid.signals import repeats
+from bayesid.signals.white_noise import quiet_noise
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2
 
 RATE = 125.0
@@ -123,7 +124,7 @@ def test_whitened_noise_of_another_draw_has_variance_one(robot):
             inside = (s.frequencies >= low) & (s.frequencies < high)
             # The covariance holds the encoders' errors, too: at most 1, and not far below where they are small.
             assert 0.75 < np.mean(z[inside] ** 2) < 1.2, (low, high)
-    assert np.mean((s.measured(noise(s.readings.shape, FILTERED, 9)) / sensor_noise([s])) ** 2) > 100.0
+    assert np.mean((s.measured(noise(s.readings.shape, FILTERED, 9)) / quiet_noise([s.readings])) ** 2) > 100.0
 
 
 def test_filtered_noise_raises_no_alarm_and_hides_no_delay(robot):
