@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from bayesid.arguments import argument
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.errors import InputError
+from bayesid.robot.robot import joint_index
 
 if TYPE_CHECKING:
     from bayesid.effects.effect import Effect
@@ -164,7 +165,8 @@ class EffectLibrary:
                     continue
                 if c.only_joint is not None and c.only_joint != i:
                     continue
-                ratio = ratios.get(joint, ratios.get(f"joint{i + 1}")) if c.needs_gear_ratio else None
+                by_place = None if f"joint{i + 1}" in joint_names else ratios.get(f"joint{i + 1}")
+                ratio = ratios.get(joint, by_place) if c.needs_gear_ratio else None
                 out.append(c(f"joint{i + 1}", i, ratio=ratio, slides=i in self.sliding))
             if c.at == "joint|robot":
                 out.append(c("robot"))
@@ -190,7 +192,7 @@ class EffectLibrary:
             c = self.named(name, spec)
             everything = (*WRENCH_NAMES, *(f"tau{i + 1}" for i in range(len(joint_names))))
             everywhere = self._acting(name, joint_names, everything, gear_ratio)
-            place = "->".join(f"joint{list(joint_names).index(w) + 1}" if w in joint_names else w for w in where.split("->"))
+            place = by_number(spec, joint_names).partition("@")[2]
             found = [e for e in everywhere if place in ("", e.where)]
             if not found:
                 raise InputError(f"effect '{spec}': {_where_else(c, where, len(joint_names))}")
@@ -236,6 +238,13 @@ class EffectLibrary:
                 f"{argument('tell', ('sensor_delay', 'base_tilt'))}"
             )
         return tuple(rivals.values())
+
+
+def by_number(spec: str, joints: Sequence[str]) -> str:
+    """``tether@joint3`` for ``tether@elbow``, where that is the third joint."""
+    name, at, where = spec.partition("@")
+    places = ((w, joint_index(w, joints)) for w in where.split("->"))
+    return name + at + "->".join(w if k is None else f"joint{k + 1}" for w, k in places)
 
 
 @lru_cache(maxsize=1)

@@ -10,6 +10,7 @@ import numpy as np
 from bayesid.dynamics.channels import Channels
 from bayesid.effects.effect import Effect, Term
 from bayesid.effects.exact import columns, readings, rigid_columns
+from bayesid.effects.library import by_number
 from bayesid.effects.segment import MotionSegment
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
@@ -83,11 +84,8 @@ def stated_of(
     effect: Effect, stated: Mapping[str, Mapping[str, float | bool]], joint_names: Sequence[str]
 ) -> Mapping[str, float | bool]:
     """What ``[model.values]`` states of an effect: by its place, by its joint's name, or for all of its kind."""
-    keys = [effect.spec, effect.name]
-    if effect.joint is not None:
-        driver = "" if effect.driver is None else f"{joint_names[effect.driver]}->"
-        keys.insert(1, f"{effect.name}@{driver}{joint_names[effect.joint]}")
-    return next((stated[key] for key in keys if key in stated), {})
+    own = (key for key in stated if by_number(key, joint_names) == effect.spec)
+    return next((stated[key] for key in (effect.spec, *own, effect.name) if key in stated), {})
 
 
 def starting_point(

@@ -27,6 +27,7 @@ from bayesid.recordings.schema import (
     ExperimentFile,
     MotionSection,
     check_keys,
+    joints_by_place,
     model_parts,
     read_file,
     read_model,
@@ -485,6 +486,7 @@ def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment
     effects, values, expressions = model_parts(file.model)
     effects, values = with_stated_effects(robot, effects if "effects" in file.model.model_fields_set else None, values)
     warnings += unlisted_values(effects, values, robot.joint_names)
+    warnings += joints_by_place((*effects, *values), robot.joint_names)
     experiment = Experiment(
         name=file.name, robot=robot, sensor=sensor, motions=(), effects=effects, effect_values=values,
         inertia_rel_std=file.robot.inertia_rel_std, position_resolution=file.robot.position_resolution,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayesid.effects.library import by_number
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.schema import EffectParameters, RobotSection
@@ -64,16 +65,16 @@ def with_stated_effects(
     """
     own: EffectParameters = {}
     values = values or {}
+    stated = {by_number(spec, robot.joint_names) for spec in values}
     for effect, parameters in _INSIDE.items():
         for k, joint in enumerate(robot.joint_names):
-            inside = robot.description.inside.get(joint, {})
-            if next(iter(parameters.values())) in inside and not {effect, f"{effect}@{joint}", f"{effect}@joint{k + 1}"} & {
-                *values
-            }:
-                own[f"{effect}@joint{k + 1}"] = {name: inside[key] for name, key in parameters.items()}
+            inside, spec = robot.description.inside.get(joint, {}), f"{effect}@joint{k + 1}"
+            if next(iter(parameters.values())) in inside and not {effect, spec} & stated:
+                own[spec] = {name: inside[key] for name, key in parameters.items()}
     if effects is None:
         return tuple(own), own | values
-    used = {spec: start for spec, start in own.items() if spec in effects or spec.partition("@")[0] in effects}
+    listed = {by_number(spec, robot.joint_names) for spec in effects}
+    used = {spec: start for spec, start in own.items() if {spec, spec.partition("@")[0]} & listed}
     return tuple(effects), used | values
 
 

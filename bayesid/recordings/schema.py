@@ -14,9 +14,11 @@ import tomli_w
 from pydantic import AfterValidator, ConfigDict, Field
 
 from bayesid.arguments import argument
+from bayesid.effects.library import by_number
 from bayesid.errors import InputError
 from bayesid.recordings.importing.column_map import UNITS, Columns, UnitSection
 from bayesid.recordings.toml_file import File, Keys, Name, NonNegative, Number, Positive, Section, Vector3, read_toml
+from bayesid.robot.robot import joint_index
 
 Expressions = dict[str, dict[str, Any]]  # "cogging" -> {"tau2": "c * sin(3 * q2)", "parameters": {"c": {"unit": "N m"}}}
 EffectParameters = dict[str, dict[str, float | bool]]  # "tether@joint3" -> {"stiffness": 40.0, "fixed": True}
@@ -212,19 +214,27 @@ def check_keys(file: ExperimentFile) -> list[str]:
 
 def unlisted_values(effects: Iterable[str], values: Iterable[str], joints: Sequence[str]) -> list[str]:
     """Warnings of values that are of no effect of the model, listed by number or name of its joint, or for all of its kind."""
-    listed = {_by_number(effect, joints) for effect in effects}
+    listed = {by_number(effect, joints) for effect in effects}
     names = {effect.partition("@")[0] for effect in listed}
     return [
         f'experiment.toml: [model.values."{value}"]: effects does not list it; add it there, unless {argument("effects")} is to'
         for value in values
-        if not ({_by_number(value, joints), value.partition("@")[0]} & listed or value in names)
+        if not ({by_number(value, joints), value.partition("@")[0]} & listed or value in names)
     ]
 
 
-def _by_number(effect: str, joints: Sequence[str]) -> str:
-    """``tether@joint3`` for ``tether@elbow``, where that is the third joint."""
-    name, at, where = effect.partition("@")
-    return name + at + "->".join(f"joint{joints.index(w) + 1}" if w in joints else w for w in where.split("->"))
+def joints_by_place(specs: Iterable[str], joints: Sequence[str]) -> list[str]:
+    """Warnings of effects at a joint whose name in the URDF is the place of another in ``joints``, which it stands for."""
+    out = []
+    for spec in dict.fromkeys(specs):
+        for name in spec.partition("@")[2].split("->"):
+            at = joint_index(name, joints)
+            if at is not None and name in joints and joints[at] != name:
+                out.append(
+                    f'experiment.toml: [model] "{spec}": {name} is place {at + 1} of joints, {joints[at]}, and not the URDF\'s '
+                    f"{name}; write joint{joints.index(name) + 1}, if that is meant"
+                )
+    return out
 
 
 def _sizes(file: ExperimentFile) -> list[str]:

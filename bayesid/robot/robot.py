@@ -6,6 +6,7 @@ the link it is in; the far part becomes a body of its own, after all joints' bod
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
@@ -250,6 +251,17 @@ class Robot:
     def order(self) -> np.ndarray:
         """Joint indices with every parent before its children (n,)."""
         return np.argsort(_movers(self.parent).sum(axis=0), kind="stable")
+
+
+def joint_index(name: str, joints: Sequence[str]) -> int | None:
+    """Index of one of the joints by its place among them, ``joint1`` ..., or else by its own name; None where it is neither.
+
+    A place goes before a name: effects are listed by place, and a file with such a list is read again.
+    """
+    place = re.fullmatch(r"joint([1-9]\d{0,8})", name)
+    if place and int(place[1]) <= len(joints):
+        return int(place[1]) - 1
+    return list(joints).index(name) if name in joints else None
 
 
 def load_robot(

@@ -6,11 +6,12 @@ import tempfile
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from bayesid.design.accuracy.bench import Bench, Setting, make_bench, missing_effects, own_setting, twin
+from bayesid.design.accuracy.bench import Bench, Setting, _model, make_bench, missing_effects, own_setting, twin
 from bayesid.design.accuracy.fits import Errors, Learned, combinations, differenced, errors_of, fit_twin, learn, run_twin
 from bayesid.design.accuracy.susceptibility import susceptibility
 from bayesid.design.accuracy.sweeps import Trial, _by_formula, _level, sweep
@@ -28,6 +29,19 @@ from bayesid.simulation.simulation import Recorder, simulate
 from bayesid.simulation.trajectories import fourier_trajectory, recorded_trajectories
 from tests.robots import ur5, write
 from tests.simulated import puma2
+
+
+def test_what_is_fixed_under_a_joints_own_name_stays_fixed_in_twins():
+    spring = {"stiffness": 1.0, "rest": 0.2}
+    given = SimpleNamespace(
+        effect_values={"spring@elbow": spring | {"fixed": True}}, effects=("spring",), position_std=None,
+        robot=SimpleNamespace(joint_names=("shoulder", "elbow")),
+    )  # fmt: skip
+    curved = SimpleNamespace(row_model=SimpleNamespace(effects=[SimpleNamespace(shape=("rest",), from_motion_alone=False)]))
+    plant = {"spring@joint1": dict(spring), "spring@joint2": dict(spring)}
+    bench = SimpleNamespace(plant=plant, experiment=given, options=FitOptions(), problem=curved, resolution=0.0)
+    values = _model(bench, SimpleNamespace(offset="fitted", encoder=1.0))["effect_values"]
+    assert values["spring@joint2"] == spring | {"fixed": True} and "fixed" not in values["spring@joint1"]
 
 
 def recorded(robot, *, static: bool, duration: float = 10.0, seed: int = 3) -> Experiment:

@@ -13,7 +13,7 @@ from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.experiment import Sensor
 from tests.design.test_excitation import QUICK, experiment_of
-from tests.robots import prismatic_arm, write
+from tests.robots import prismatic_arm, wrist_sensor_arm, write
 
 
 def wrench_rows(robot, motion, columns=None):
@@ -68,6 +68,21 @@ def test_deviation_of_a_payload_is_that_of_dense_algebra(tmp_path):
     whole = np.hstack([rows, offset])
     information = task.recorded / len(motion[0]) * whole.T @ whole
     scale = np.append(typical_sizes(robot)[50:], np.repeat([10.0, 1.0], 3))
+    covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    assert task.quantity_stds(series)[0] == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-2)
+
+
+def test_a_payload_beyond_the_robots_own_sensor_is_a_quantity(tmp_path):
+    """It hangs on the part that the sensor weighs: its mass by dense algebra, the offset estimated along."""
+    robot = bayesid.load_robot(write(tmp_path, wrist_sensor_arm()), sensor_joint="wrist_ft")
+    arm = bayesid.Experiment("arm", robot, (), Sensor(joint="wrist_ft", force_std=0.5, torque_std=0.05))
+    task, _ = make_task(arm, ExcitationOptions(channel="wrench", quantities=("payload@joint6",)))
+    series = task.coordinates.series(0.4 * np.random.default_rng(0).normal(size=task.coordinates.count))
+    motion, far, std = series.at(task.coordinates.times), np.arange(60, 70), np.repeat([0.5, 0.05], 3)
+    rows = Kernel.of(robot, wrench_channels(robot, np.eye(3), np.zeros(3)), far).dynamics(*motion) / std[None, :, None]
+    whole = np.hstack([rows.reshape(-1, 10), np.tile(np.diag(1.0 / std), (len(motion[0]), 1))])
+    information = task.recorded / len(motion[0]) * whole.T @ whole
+    scale = np.append(typical_sizes(robot)[far], np.repeat([10.0, 1.0], 3))
     covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
     assert task.quantity_stds(series)[0] == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-2)
 

@@ -31,6 +31,20 @@ def test_effects_are_found_where_they_can_be(panda):
         starting_point([tether], {"tether": {"length": 1.0}}, names)
 
 
+def test_a_place_goes_before_a_name_that_looks_like_one():
+    """Of an arm whose first joint is held: effects are found again by what they are called, values stay with their joint."""
+    names, channels = ("joint2", "joint3"), ("tau1", "tau2")
+    every = LIBRARY.places("viscous_friction", names, channels)
+    for effect in every:
+        assert LIBRARY.parse([effect.spec], names, channels) == (effect,)
+    assert LIBRARY.parse(["viscous_friction@joint3"], names, channels) == (every[1],)
+    stated = {"viscous_friction@joint2": {"coefficient": 3.0, "fixed": True}}
+    values, free = starting_point(every, stated, names)
+    assert values.tolist() == [0.0, 3.0] and free.tolist() == [True, False]
+    rotors = LIBRARY.places("rotor_momentum", names, channels, {"joint2": 50.0})
+    assert [e.ratio for e in rotors] == [50.0, None]
+
+
 def test_descriptions_of_one_thing_exclude_each_other(panda):
     def effects(*specs):
         return LIBRARY.parse(specs, panda.joint_names, both(panda).names)

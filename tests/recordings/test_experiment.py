@@ -61,6 +61,18 @@ def test_values_are_those_of_an_effect_by_any_of_its_names(folder: Path, listed:
     assert any("effects does not list it" in w for w in load_experiment(folder).warnings) == doubted
 
 
+def test_a_joint_named_like_the_place_of_another_is_told(folder: Path) -> None:
+    for name in ("experiment.toml", "robot.urdf"):
+        text = (folder / name).read_text(encoding="utf-8").replace("shoulder", "joint2").replace("elbow", "joint1")
+        text = text.replace('effects = ["sensor_offset"]', 'effects = ["tether@joint2"]')
+        (folder / name).write_text(text, encoding="utf-8")
+    (said,) = [w for w in load_experiment(folder).warnings if "tether" in w]
+    assert said == (
+        'experiment.toml: [model] "tether@joint2": joint2 is place 2 of joints, joint1, and not the URDF\'s joint2; '
+        "write joint1, if that is meant"
+    )
+
+
 def test_everything_in_the_file_is_read(folder: Path) -> None:
     toml("[[motion]]", "[model.values.sensor_offset]\nfx = 2\nfixed = true\n\n[[motion]]")(folder)
     experiment = load_experiment(str(folder))

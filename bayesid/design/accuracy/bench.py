@@ -19,6 +19,7 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects import Effect, MotionSegment, Term, middle_of
+from bayesid.effects.library import by_number
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate, Estimator
 from bayesid.estimators.nonlinear import solve
@@ -267,9 +268,10 @@ def _offsets(bench: Bench) -> tuple[Effect, ...]:
 def _model(bench: Bench, setting: Setting) -> dict:
     """The model that the user has, started at the truth: twins need not find it from afar."""
     values = bench.plant
-    stated = bench.experiment.effect_values
+    stated, joints = bench.experiment.effect_values, bench.experiment.robot.joint_names
+    fixed = {by_number(key, joints) for key, given in stated.items() if given.get("fixed", False)}
     for spec in values:
-        if any(stated.get(key, {}).get("fixed", False) for key in (spec, spec.partition("@")[0])):
+        if {spec, spec.partition("@")[0]} & fixed:
             values[spec]["fixed"] = True
     effects = bench.experiment.effects if bench.options.effects is None else tuple(bench.options.effects)
     if setting.offset == "ignored":

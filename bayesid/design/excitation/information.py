@@ -46,13 +46,14 @@ from bayesid.dynamics.channels import Channels, torque_channels
 from bayesid.dynamics.regressor_gradient import regressor_gradient
 from bayesid.dynamics.regressors import Kernel
 from bayesid.effects import Effect, MotionSegment
+from bayesid.effects.bodies import body_of
 from bayesid.effects.families import JointTorqueEffect
 from bayesid.effects.sizes import reach
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.readings import make_channels
 from bayesid.robot.prior import assumed_links
-from bayesid.robot.robot import Robot
+from bayesid.robot.robot import Robot, joint_index
 from bayesid.simulation.trajectories import read_trajectory
 
 CRITERIA = {
@@ -339,10 +340,10 @@ def _torque(text: str, file: str, experiment: Experiment, information: Informati
 
 def _payload(text: str, where: str, experiment: Experiment, information: Information) -> JudgedQuantity:
     robot = experiment.robot
-    names = {name: k for k, name in enumerate(robot.joint_names)} | {f"joint{k + 1}": k for k in range(robot.n)}
-    if where not in names:
+    joint = joint_index(where, robot.joint_names)
+    if joint is None:
         raise InputError(f"{argument('quantities', text)}: no such joint; write one of {', '.join(robot.joint_names)}")
-    own = np.arange(10 * names[where], 10 * names[where] + 10)
+    own = 10 * body_of(robot, joint) + np.arange(10)
     sensor_set, channels = information.sensor_set, information.channels
     offset = sensor_set.offset == "fitted"
     rng = np.random.default_rng(0)

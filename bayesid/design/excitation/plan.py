@@ -27,7 +27,7 @@ from bayesid.errors import EstimationError, InputError
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.readings import default_channel, make_channels
 from bayesid.robot.prior import states_masses
-from bayesid.robot.robot import motion_limits
+from bayesid.robot.robot import joint_index, motion_limits
 from bayesid.simulation.trajectories import Trajectory
 
 #: Damping ratio where none is known; it matters near the resonance only.
@@ -206,11 +206,10 @@ def _moving(experiment: Experiment, options: ExcitationOptions) -> np.ndarray:
         return np.arange(len(names))
     if not options.joints:
         raise InputError(f"{argument('joints')} names none; write some of {', '.join(names)}")
-    known = {name: k for k, name in enumerate(names)} | {f"joint{k + 1}": k for k in range(len(names))}
-    for name in options.joints:
-        if name not in known:
-            raise InputError(f"{argument('joints', name)}: no such joint; write some of {', '.join(names)}")
-    return np.array(sorted({known[name] for name in options.joints}))
+    found = {name: joint_index(name, names) for name in options.joints}
+    if unknown := [name for name, k in found.items() if k is None]:
+        raise InputError(f"{argument('joints', unknown[0])}: no such joint; write some of {', '.join(names)}")
+    return np.array(sorted({k for k in found.values() if k is not None}))
 
 
 def _loads(experiment: Experiment, options: ExcitationOptions) -> tuple[tuple[LoadLimit, ...], list[str]]:

@@ -49,7 +49,7 @@ from bayesid.estimators import Estimate
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.problem import Problem, absorbed_offset, relinearised
 from bayesid.robot.prior import Prior
-from bayesid.robot.robot import Robot, load_robot
+from bayesid.robot.robot import Robot, joint_index, load_robot
 
 #: Ends of the names of URDF links that are a flange, in whose frame controllers want a payload, the most certain first.
 FLANGES = ("tool0", "_link8", "flange")
@@ -63,10 +63,9 @@ def carrying_joint(robot: Robot, joint: str | None) -> int:
     """Index of the joint whose link carries the payload; default the last of the chain, which must have one end."""
     names = robot.joint_names
     if joint is not None:
-        numbered = [f"joint{k + 1}" for k in range(robot.n)]
-        if joint not in (*names, *numbered):
+        if (at := joint_index(joint, names)) is None:
             raise InputError(f"{argument('joint', joint)}: no such joint; choose one of {', '.join(names)}")
-        return names.index(joint) if joint in names else numbered.index(joint)
+        return at
     ends = [k for k in range(robot.n) if k not in robot.parent]
     if len(ends) != 1:
         listed = ", ".join(names[k] for k in ends)
