@@ -269,10 +269,9 @@ def _moved(d: Diagnosis) -> ShownSection:
 def _left(d: Diagnosis, views: Views) -> ShownSection:
     """What is left with the model as it was and as it is in the end."""
     known, changed = all(e.before.noise_known for e in results.shown_errors(d)), views.changed
-    in_noise = (
-        "Residual of every channel in units of the noise (logarithmic axis), as identify leaves it with either model. The "
-        "line is what a complete model would leave: noise, and what is not known of its fitted parameters."
-    )
+    in_noise = "Residual of every channel in units of the noise (logarithmic axis), as identify leaves it with either model."
+    if d.part is None:
+        in_noise += " The line is what a complete model would leave: noise, and what is not known of its fitted parameters."
     in_percent = (
         "Residual of every channel in per cent of its signal (logarithmic axis), as identify leaves it with either model; the "
         "sensor's own noise is not known."
@@ -424,7 +423,9 @@ def _rivals(f: Found, d: Diagnosis, proposals: list[dict[str, Any]]) -> str:
     """What speaks for a named effect, and against others in its place."""
     text = f"**{f.term.effect.spec}**: without it the best model loses {_large(f.gain)} of log evidence."
     if f.rivals:
-        lacks = ", ".join(f"{t.effect.spec} loses only {number(lack, 2)}" for t, lack in f.rivals)
+        lacks = ", ".join(
+            f"{t.effect.spec} {'loses only' if lack > 0.0 else 'gains'} {number(abs(lack), 2)}" for t, lack in f.rivals
+        )
         return f"{text} In its place {lacks}: too little to decide."
     # The best effect on its own that is neither named nor a rival.
     first, other = proposals[0] if proposals else None, next((p for p in proposals if p["kind"] == "other"), None)

@@ -95,7 +95,9 @@ def _encoder(bench: Bench, own: Setting) -> SweptFactor:
         advice = "encoders four times as fine" if k == 0.25 else ""
         trials.append(Trial(label, k, replace(own, encoder=k), improvement=advice))
     what = f"counts of {count:.2g}" if count else f"random errors of {max(bench.position_std):.2g}"
-    return SweptFactor("encoder", "Encoder errors", what, tuple(trials))
+    slides = bench.experiment.robot.prismatic
+    unit = "m" if slides.all() else "rad or m" if slides.any() else "rad"
+    return SweptFactor("encoder", "Encoder errors", f"{what} {unit}", tuple(trials))
 
 
 def _rate(bench: Bench, own: Setting) -> SweptFactor:
