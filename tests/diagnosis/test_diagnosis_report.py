@@ -244,7 +244,8 @@ def test_the_page_of_a_named_effect(named, written):
         "The model misses one effect: sensor_gain at mx", "What disagrees, and where", "What it is",
         "Why that, and not something else", "What it did to the parameters", "Before and after on unseen motions",
         "What these motions could show at all", "Where the noise floor comes from",
-        "One axis reads (1 + gain) times the truth.", "The line is what a complete model would leave", "No other effect in its place comes near",
+        "One axis reads (1 + gain) times the truth.", "The line is what a complete model would leave",
+        "No other effect in its place comes near",
     ):  # fmt: skip
         assert part in text, part
     assert "Know this before" not in text
