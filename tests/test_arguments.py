@@ -96,6 +96,8 @@ def test_names_and_options():
     options = ExcitationOptions(joints="joint1", duration=10.0)
     assert options.joints == ("joint1",)
     assert with_given(options, duration=None, rate=50.0) == replace(options, rate=50.0)
+    with pytest.raises(bayesid.InputError, match="ground=0 is not kept clear with collisions=False; leave one of them out"):
+        ExcitationOptions(ground=0.0, collisions=False)
 
 
 class Nameless:

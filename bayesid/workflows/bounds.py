@@ -292,6 +292,11 @@ def _known_of_loaded(
     if document["experiment"] != experiment.name:
         other = document["experiment"]
         raise InputError(f"{file}: is of experiment '{other}', not of '{experiment.name}'; name a run of this one")
+    filters = document["filter"]["l"] and LowPass(document["filter"]["l"], document["filter"]["d"])
+    fitted = {"channel": document["channel"], "low_pass": filters, "motions": tuple(document["motions"])}
+    for name, value in fitted.items():
+        if name in options.given() and getattr(options, name) != value:
+            raise InputError(f"{file}: was fitted with another {argument(name)}; leave that out, or run it again with it")
     problem = _prepared(experiment, document, options)
     base, effects = problem.row_model.base, problem.regression.effect_names
     names = [p["name"] for p in (*document["base_parameters"], *document["effect_parameters"])]

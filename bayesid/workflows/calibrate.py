@@ -91,6 +91,8 @@ def calibrate(
         raise InputError(f"{argument('mass', mass)}: give the known mass in kilograms, above 0")
     if not (np.isfinite(mass_std) and mass_std >= 0.0):
         raise InputError(f"{argument('mass_std', mass_std)}: give a standard deviation in kilograms, 0 or more")
+    if mass is None and mass_std:
+        raise InputError(f"{argument('mass_std', mass_std)}: is of a known mass; give that with {argument('mass')}")
     if reference is not None and mass is None:
         raise InputError(f"{argument('reference')}: says how much was hung on only with that mass; add {argument('mass', 1.0)}")
     asked = FitOptions(channel="wrench", motions=chosen.motions)

@@ -225,6 +225,9 @@ def test_bad_input_is_one_line_and_exit_status_two(folder, runs, capsys, tmp_pat
         "a positive number": ["--prior-std", "-1"],
         "no such file;": ["--estimate", str(folder / "estimate"), "--trajectory", "nowhere.csv"],
         "not those of this experiment": ["--estimate", str(folder / "estimate"), "--effects", "base_tilt"],
+        "another --channel": ["--estimate", str(folder / "estimate"), "--channel", "torque"],
+        "another --motions": ["--estimate", str(folder / "estimate"), "--motions", "validation"],
+        "another --filter-l": ["--posterior", str(folder / "posterior"), "--filter-l", "1"],
         "add --method sdp": ["--bounds", "bounds.toml"],
         "ask for fewer": ["--estimate", str(folder / "estimate"), "--urdfs", "100000"],
     }

@@ -136,6 +136,7 @@ def test_what_cannot_be_used_is_refused(wrist, tmp_path):
     poses = recorded(wrist, {}, count=12)
     for given, said in (
         (dict(mass=-1.0), "give the known mass in kilograms, above 0"), (dict(mass=1.0, mass_std=-1.0), "0 or more"),
+        (dict(mass_std=0.01), "is of a known mass"),
         (dict(reference=poses), "says how much was hung on only with that mass"),
     ):  # fmt: skip
         with pytest.raises(bayesid.InputError, match=said):

@@ -115,6 +115,9 @@ class ExcitationOptions:
             raise InputError(f"{argument('diagnosability', self.diagnosability)}: give a weight, 0 or more")
         if not (np.isfinite(self.margin) and self.margin >= 0):
             raise InputError(f"{argument('margin', self.margin)}: give a distance in metres, 0 or more")
+        if self.ground is not None and not self.collisions:
+            without = argument("collisions", False)
+            raise InputError(f"{argument('ground', self.ground)} is not kept clear with {without}; leave one of them out")
         if self.periods < 1 or abs(self.periods * self.repeats_after - self.duration) > 1e-6 * self.duration:
             raise InputError(
                 f"{argument('period', self.repeats_after)}: {argument('duration', self.duration)} is no multiple of it; "
