@@ -293,7 +293,7 @@ def accuracy_report(result: Accuracy) -> str:
     sections += certificate_section(result.certificate, base)
     if result.sensors is not None:
         sections.append(_sensors(result.sensors))
-    parameters = [_parameters(result), note("± : standard errors of the simulation.")]
+    parameters = [_parameters(result), note("± : standard errors of the simulation." if sweeps is not None else "")]
     sections += [
         ShownSection("Every base parameter", parameters, "Parameters"),
         how(*_how(result), seconds=result.seconds, after="SI units, force before moment.", title="How this was done"),
@@ -406,9 +406,9 @@ def _how(result: Accuracy) -> list[tuple[str, str]]:
     channels = bench.problem.row_model.channels
     noise = ", ".join(f"{n} {number(s, 2)} {u}" for n, s, u in zip(channels.names, bench.noise.std, channels.units, strict=True))
     colour = "white" if bench.noise.order == 0 else f"autoregressive of order {bench.noise.order}"
-    encoder = f"counts of {number(bench.resolution, 2)}" if bench.resolution else "no counts known"
+    encoder = f"counts of {number(bench.resolution, 2)} rad (or m)" if bench.resolution else "no counts known"
     if bench.position_std.any():
-        encoder += f"; random errors of {number(float(bench.position_std.max()), 2)} at most"
+        encoder += f"; random errors of {number(float(bench.position_std.max()), 2)} rad (or m) at most"
     links = "the nominal ones" if bench.nominal else "those with the estimated base parameters, nearest to the nominal ones"
     rows = [
         ("True motion", "the recording's own, its positions smoothed; each twin starts a random part of a sample later"),

@@ -50,7 +50,9 @@ def payload_report(result: PayloadEstimate) -> str:
     sections = [
         ShownSection("Values", [
             note(f"In the frame of **{result.frame}**; inertia about the centre of mass, in that frame's axes."),
-            result.table, figure(svg(payload_figure(result), "payload"), "With 95 % intervals."),
+            result.table,
+            figure(svg(payload_figure(result), "payload") if any(q.shown for q in result.quantities[:4]) else "",
+                   "With 95 % intervals."),
         ]),
         *_files(
             "For controllers", result.exports(),
@@ -98,8 +100,12 @@ def payload_figure(result: PayloadEstimate, ax: Any = None) -> Figure:
             value, low, high = (scale * getattr(q, k) if q.shown else np.nan for k in ("value", "low", "high"))
             ends = [[max(value - low, 0.0)], [max(high - value, 0.0)]]
             panel.errorbar([x], [value], ends, fmt="o", ms=4, color=colour, capsize=2.5, lw=1.2, label=label)
-    for panel, title in zip(axes[0], ("mass [kg]", *(f"centre {k} [mm]" for k in "xyz")), strict=True):
+    titles = "mass [kg]", *(f"centre {k} [mm]" for k in "xyz")
+    for k, (panel, title) in enumerate(zip(axes[0], titles, strict=True)):
         panel.set_title(title)
+        if not any(quantities[k].shown for quantities, *_ in series):
+            panel.set_yticks([])
+            panel.text(0.5, 0.5, "not shown", transform=panel.transAxes, ha="center", color=GREY)
         panel.set_xticks([])
         panel.set_xlim(-1.0, 2.0)
     add_legend(axes)

@@ -392,6 +392,8 @@ def _not_shown(result: PayloadEstimate) -> list[str]:
         told = [q.name for q in result.first_moment if q.shown]
         moments = f" The first moments {', '.join(told)}, mass times centre of mass, are shown." if told else ""
         if not never["m"]:
+            if (result.nominal_share or 0.0) > 0.5:
+                return [f"The recordings do not show the mass beside what is not known of the nominal links.{moments}"]
             return [f"The recordings do not show the mass: tilt the payload in more ways, or record longer.{moments}"]
         return [
             f"No motion of this robot shows the mass of a payload on {result.carrier} in the {channel_text(result.channel)}: "

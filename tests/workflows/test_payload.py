@@ -17,6 +17,7 @@ from bayesid.cli import main
 from bayesid.diagnosis.changes import findings
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.recordings.experiment import Sensor
+from bayesid.report.payload import payload_report
 from bayesid.robot import inertia
 from bayesid.simulation.trajectories import Trajectory
 from tests.example_robots import Joint, urdf_text
@@ -276,6 +277,8 @@ def test_first_moments_are_told_where_no_motion_shows_the_mass(crossed):
     assert written["first_moment"]["value"] == [q.value for q in result.first_moment]
     with pytest.raises(bayesid.InputError, match="no motion of this robot does"):
         result.export("ur")
+    assert "<figure>" not in payload_report(result)  # there is nothing to draw
+    assert all("not shown" in [t.get_text() for t in panel.texts] for panel in result.plot().axes)
 
 
 def test_poses_that_could_turn_more_are_advised_where_other_motions_show_the_mass(wrist):
@@ -321,6 +324,9 @@ def test_a_trusted_nominal_model_does_in_place_of_a_reference(tmp_path, trust):
     assert_holds(result, 1.5, np.array([0.03, -0.02, 0.1]))
     assert (result.nominal_share == 0.0) if trust == 0.0 else (0.5 < result.nominal_share <= 1.0)
     assert ("depends on the nominal model" in str(result)) == (trust > 0.0)
+    doubted = bayesid.payload(replace(simulation, inertia_rel_std=1.0), diagnosis=False)  # longer recordings would not help
+    assert not doubted.mass.shown and "beside what is not known of the nominal links" in str(doubted)
+    assert "record longer" not in str(doubted)
 
 
 def test_what_cannot_be_told_is_refused_in_one_line(tmp_path, wrist):
