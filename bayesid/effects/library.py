@@ -192,11 +192,11 @@ class EffectLibrary:
             c = self.named(name, spec)
             everything = (*WRENCH_NAMES, *(f"tau{i + 1}" for i in range(len(joint_names))))
             everywhere = self._acting(name, joint_names, everything, gear_ratio)
-            place = by_number(spec, joint_names).partition("@")[2]
-            found = [e for e in everywhere if place in ("", e.where)]
+            found = [e for e in everywhere if where in ("", e.where)]
+            found = found or [e for e in everywhere if e.spec == by_number(spec, joint_names)]
             if not found:
                 raise InputError(f"effect '{spec}': {_where_else(c, where, len(joint_names))}")
-            if not place and c.at == "joint|robot":
+            if not where and c.at == "joint|robot":
                 found = [e for e in found if e.joint is not None]
             seen = {e.spec for e in self._acting(name, joint_names, channels, gear_ratio)}
             effects |= {e.spec: e for e in found if e.spec in seen and e.spec not in effects}

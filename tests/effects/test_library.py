@@ -41,6 +41,10 @@ def test_a_place_goes_before_a_name_that_looks_like_one():
     stated = {"viscous_friction@joint2": {"coefficient": 3.0, "fixed": True}}
     values, free = starting_point(every, stated, names)
     assert values.tolist() == [0.0, 3.0] and free.tolist() == [True, False]
+    odd, wrench = ("base", "robot"), ("fx", "fy", "fz", "mx", "my", "mz", *channels)  # joints that are called as other places
+    for name in ("base_tilt", "fluid_drag", "torque_delay", "external_contact", "sensor_offset"):
+        for effect in LIBRARY.places(name, odd, wrench):
+            assert LIBRARY.parse([effect.spec], odd, wrench) == (effect,)
     rotors = LIBRARY.places("rotor_momentum", names, channels, {"joint2": 50.0})
     assert [e.ratio for e in rotors] == [50.0, None]
 
