@@ -445,6 +445,18 @@ def test_an_sdf_holds_friction_springs_limits_and_locked_joints(tmp_path):
     assert "<!-- rotor_inertia@joint1.inertia = 1 kg m^2 -->" in text and "spring@" not in text
 
 
+def test_names_of_an_sdf_are_all_different_and_none_is_the_worlds(tmp_path):
+    """Links and joints share their names there, and ``world`` is the world: the specification since version 1.7."""
+    text = SLIDER.replace('"base"', '"world"').replace('"cart"', '"slide"').replace('"arm"', '"fixed_to_world"')
+    robot = load_robot(write(tmp_path, text))
+    text = sdf(robot, {}, robot.nominal.ravel(), JointDynamics({}))
+    names = [str(element.get("name")) for element in ET.fromstring(text)[0] if element.get("name")]
+    assert sorted(names) == ["fixed_to_world", "fixed_to_world_joint", "slide", "slide_link", "turn", "world_link"]
+    reader, (q, v, a) = SdfReader(text), (x[-1] for x in states(robot, 3))
+    found = pin.rnea(reader.model, reader.model.createData(), q, v, a)
+    np.testing.assert_allclose(found, inverse_of_nominal(robot, q[None], v[None], a[None])[0], atol=1e-9)
+
+
 def test_an_sdf_of_a_robot_without_masses_is_refused(tmp_path):
     robot = puma2(tmp_path)
     with pytest.raises(bayesid.InputError, match="robot.urdf: link link1 moves and has no mass, which SDF has no word for"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -216,10 +217,11 @@ def sdf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics: 
     """The text of an SDF file, version 1.9: links and joints with friction and springs, the root fixed to the world.
 
     Visuals, collision shapes and meshes are left out; ``locked`` are positions of joints that are fixed there [rad or m]. A
-    link of no mass that is fixed to another becomes a frame: a reader would give it a kilogram. An `InputError` where a moving
-    link has no mass, which SDF has no word for.
+    link of no mass that is fixed to another becomes a frame: a reader would give it a kilogram. A link that is called ``world``,
+    or as a joint, gets ``_link`` behind its name. An `InputError` where a moving link has no mass, which SDF has no word for.
     """
     tree, constants = plain_urdf(robot, locked, links, dynamics), joint_constants(robot, dynamics, HELD_BY_SDF)
+    anchor = _name_apart(tree)
     root = ET.Element("sdf", version="1.9")
     model = ET.SubElement(root, "model", name=tree.get("name") or "robot")
     above = {_link(joint, "child"): joint for joint in tree.findall("joint")}
@@ -240,7 +242,7 @@ def sdf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics: 
         if joint is not None:
             ET.SubElement(element, "pose", relative_to=str(joint.get("name")))
         _add_inertial(element, inertial if float(mass) > 0.0 else None)
-        _add_joint(model, joint, name, constants.springs)
+        _add_joint(model, joint, name, constants.springs, anchor)
     return with_comments(root, constants)
 
 
@@ -256,10 +258,36 @@ def _add_inertial(link: ET.Element, stated: ET.Element | None) -> None:
         ET.SubElement(about, key).text = value
 
 
-def _add_joint(model: ET.Element, joint: ET.Element | None, child: str, springs: Mapping[str, tuple[float, float]]) -> None:
-    """The joint above a link: its frame is that of the link, placed in the parent's."""
+def _name_apart(tree: ET.Element) -> str:
+    """Rename links whose names SDF reserves or has for joints, too; returns a name for the joint that holds the root.
+
+    Links and joints share their names there, which a URDF keeps apart, and ``world`` is the world itself.
+    """
+    taken = {str(element.get("name")) for tag in ("joint", "link") for element in tree.findall(tag)}
+
+    def free(name: str, ending: str) -> str:
+        while name in taken:
+            name += ending
+        taken.add(name)
+        return name
+
+    joints = {joint.get("name") for joint in tree.findall("joint")}
+    ends = [end for joint in tree.findall("joint") for end in (_part(joint, "parent"), _part(joint, "child"))]
+    for link in tree.findall("link"):
+        name = str(link.get("name"))
+        if name in joints or name == "world" or re.fullmatch("__.*__", name):
+            new = free(name, "_link")
+            for element, key in ((link, "name"), *((end, "link") for end in ends if end.get("link") == name)):
+                element.set(key, new)
+    return free("fixed_to_world", "_joint")
+
+
+def _add_joint(
+    model: ET.Element, joint: ET.Element | None, child: str, springs: Mapping[str, tuple[float, float]], anchor: str
+) -> None:
+    """The joint above a link, named ``anchor`` above the root: its frame is that of the link, placed in the parent's."""
     if joint is None:
-        element = ET.SubElement(model, "joint", name="fixed_to_world", type="fixed")
+        element = ET.SubElement(model, "joint", name=anchor, type="fixed")
         ET.SubElement(element, "parent").text = "world"
         ET.SubElement(element, "child").text = child
         return
