@@ -21,7 +21,7 @@ from bayesid.recordings.importing.column_map import ColumnMap, column_map
 from bayesid.recordings.importing.recording import read_stated
 from bayesid.recordings.importing.stream import kind_of
 from bayesid.recordings.motion import Motion
-from bayesid.recordings.robot_section import read_robot, robot_doubts, with_stated_effects
+from bayesid.recordings.robot_section import check_knowledge, check_loaded, read_robot, robot_doubts, with_stated_effects
 from bayesid.recordings.schema import (
     EffectParameters,
     ExperimentFile,
@@ -50,6 +50,7 @@ class _Named(Protocol):
 
 M = TypeVar("M", bound=_Named)
 
+_GRAVITY = (0.0, 0.0, -9.81)
 _UNVALIDATED = 'no motion has role "validation"'
 
 __all__ = ["WRENCH_COLUMNS", "Experiment", "Motion", "Sensor", "Table", "load_experiment"]
@@ -83,6 +84,10 @@ class Sensor:
                 raise InputError(f"sensor {name}: {vector.tolist()} will not do; give three numbers")
             vector.setflags(write=False)
             object.__setattr__(self, name, vector)
+        for name in ("force_std", "torque_std"):
+            std = getattr(self, name)
+            if std is not None and not 0.0 < std < np.inf:
+                raise InputError(f"sensor {name}: {std} is no sensor's noise; give a number above 0, or None if it is not known")
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +145,8 @@ class Experiment(Plots):
             What is recorded cannot be right, whether it comes from a file or from arrays.
         """
         self._check_robot()
+        sizes = {key: getattr(self, key) for key in ("inertia_rel_std", "position_resolution", "position_std")}
+        check_knowledge(sizes, self.gear_ratio, self.robot)
         names = [motion.name for motion in self.motions]
         for name in names:
             if names.count(name) > 1:
@@ -227,11 +234,11 @@ class Experiment(Plots):
         velocities: ArrayLike | None = None,
         commanded: ArrayLike | None = None,
         validation: Mapping[str, ArrayLike] | Table | Sequence[Mapping[str, ArrayLike] | Table] = (),
-        sensor: Sensor | None = None,
+        sensor: Sensor | str | None = None,
         joints: Sequence[str] | None = None,
         locked: Mapping[str, float] | None = None,
-        gravity: Sequence[float] = (0.0, 0.0, -9.81),
-        effects: Sequence[str] | None = None,
+        gravity: Sequence[float] = _GRAVITY,
+        effects: Sequence[str] | str | None = None,
         inertia_rel_std: float | None = None,
         position_resolution: float | None = None,
         position_std: float | None = None,
@@ -260,9 +267,10 @@ class Experiment(Plots):
         validation
             Recordings that are only predicted: ``dict(t=..., q=..., torques=...)``, a `Table`, or a list of them.
         sensor
-            Where the wrench is measured; default: under the base, in the base's axes, or in the joint that `load_robot` was told.
+            Where the wrench is measured: a `Sensor`, ``"base"``, or the name of its joint; default: under the base, in the base's
+            axes, or in the joint that `load_robot` was told.
         joints
-            Moving joints in the order of the columns of ``q``; default: every moving joint in the URDF's order.
+            Moving joints in the order of the columns of ``q``; default: every one that is not locked, in the URDF's order.
         locked
             Position of every other moving joint [rad or m]; default 0.
         gravity
@@ -281,14 +289,18 @@ class Experiment(Plots):
         InputError
             The URDF or the arrays cannot be right; the message says which array, row and value, and what to do.
         """
+        if isinstance(sensor, str):
+            sensor = Sensor(None if sensor == "base" else sensor)
         if sensor is None and wrench is not None:
             sensor = Sensor(urdf.sensor_joint if isinstance(urdf, Robot) else None)
         warnings: list[str] = []
         if isinstance(urdf, Robot):
             robot = urdf
+            check_loaded(robot, joints, None if gravity is _GRAVITY else gravity)
         else:
             robot = load_robot(urdf, joints, locked, gravity, None if sensor is None else sensor.joint)
             warnings += robot_doubts(robot, locked or {}, "")
+        effects = [part.strip() for part in effects.split(",")] if isinstance(effects, str) else effects
         own, values = with_stated_effects(robot, effects)
         recording = dict(t=t, q=q, torques=torques, wrench=wrench, velocities=velocities, commanded=commanded)
         held_out = [validation] if isinstance(validation, (Table, Mapping)) else list(validation)
@@ -548,6 +560,8 @@ def _read_motion(
 
 def _as_table(given: Mapping[str, Any], source: str) -> Table:
     """A recording's arrays by the names of `Experiment.from_arrays`, as a table."""
+    if not isinstance(given, Mapping):
+        raise InputError(f"{source}: is a {type(given).__name__}; give dict(t=..., q=..., torques=...), or a Table")
     names = {"t": "times", "q": "positions", **{k: k for k in ("torques", "wrench", "velocities", "commanded")}}
     for key in given:
         if key not in names:

@@ -42,9 +42,11 @@ def read_robot(folder: Path, section: RobotSection, sensor_joint: str | None) ->
         robot = load_robot(urdf, section.joints, section.locked, section.gravity, sensor_joint)
     except InputError as error:
         # The robot knows the URDF only; the user's mistake may be in the keys that name its joints.
-        for key, names in (("joints", section.joints), ("locked", list(section.locked))):
-            if any(str(error).startswith(f"joint '{name}'") for name in names):
-                raise InputError(str(error), file="experiment.toml", key=f"[robot] {key}") from None
+        joints, locked = ([f"joint '{name}'" for name in names] for names in (section.joints, section.locked))
+        keys = {"[robot] joints": joints, "[robot] locked": locked, "[sensor] joint": [f"sensor joint '{sensor_joint}'"]}
+        for key, begins in keys.items():
+            if str(error).startswith(tuple(begins)):
+                raise InputError(str(error), file="experiment.toml", key=key) from None
         raise
     for name in section.gear_ratio:
         if name not in section.joints:
@@ -76,6 +78,26 @@ def with_stated_effects(
     listed = {by_number(spec, robot.joint_names) for spec in effects}
     used = {spec: start for spec, start in own.items() if {spec, spec.partition("@")[0]} & listed}
     return tuple(effects), used | values
+
+
+def check_loaded(robot: Robot, joints: Sequence[str] | None, gravity: Sequence[float] | None) -> None:
+    """Refuse joints and gravity (3,) [m/s^2], where there are any, that are not those with which a robot was loaded."""
+    for key, asked, has in (("joints", joints, robot.joint_names), ("gravity", gravity, robot.gravity.tolist())):
+        if asked is not None and list(asked) != list(has):
+            raise InputError(f"{key} = {list(asked)}, but the robot was loaded with {list(has)}; give load_robot the same")
+
+
+def check_knowledge(sizes: Mapping[str, float | None], gear_ratio: Mapping[str, float], robot: Robot) -> None:
+    """Refuse what cannot be known of a robot: sizes by name that are no numbers from 0, gear ratios of what does not move."""
+    for key, size in sizes.items():
+        if size is not None and not 0.0 <= size < np.inf:
+            raise InputError(f"{size} is out of range", key=key, value=size, remedy="give 0 or more, or None if it is not known")
+    for name, ratio in gear_ratio.items():
+        if name not in robot.joint_names:
+            remedy = suggest(name, robot.joint_names)
+            raise InputError(f'"{name}" is not one of joints', key="gear_ratio", value=name, remedy=remedy)
+        if not 0.0 < ratio < np.inf:
+            raise InputError(f"{name} = {ratio} is out of range", key="gear_ratio", value=ratio, remedy="give a number above 0")
 
 
 def robot_doubts(robot: Robot, locked: Mapping[str, float], stated: str) -> list[str]:

@@ -17,7 +17,7 @@ from bayesid.arguments import argument
 from bayesid.effects.library import by_number
 from bayesid.errors import InputError
 from bayesid.recordings.importing.column_map import UNITS, Columns, UnitSection
-from bayesid.recordings.toml_file import File, Keys, Name, NonNegative, Number, Positive, Section, Vector3, read_toml
+from bayesid.recordings.toml_file import File, Keys, Name, NonNegative, Number, Positive, Section, Vector3, as_file, read_toml
 from bayesid.robot.robot import joint_index
 
 Expressions = dict[str, dict[str, Any]]  # "cogging" -> {"tau2": "c * sin(3 * q2)", "parameters": {"c": {"unit": "N m"}}}
@@ -167,6 +167,11 @@ def read_model(path: str | Path) -> tuple[tuple[str, ...], EffectParameters, Exp
     section = read_file(Path(path), ModelFile).model
     check_effects(section.effects, Path(path).name)
     return model_parts(section)
+
+
+def check_document(document: Mapping[str, Any]) -> None:
+    """Refuse what is to be written as an experiment.toml and could not be read again."""
+    as_file(document, ExperimentFile, _KEYS, "experiment.toml")
 
 
 def write_model(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -235,8 +237,13 @@ class Table:
 def seconds(times: object, source: str) -> np.ndarray:
     """Times as numbers (N,) [s]: dates and durations, whose unit is known, count from the first."""
     given = np.asarray(times)
+    if given.dtype.kind == "O" and given.ndim == 1 and any(isinstance(one, datetime) for one in given[:2]):
+        from pandas import DatetimeIndex, to_datetime  # as above
+
+        given = DatetimeIndex(to_datetime(given, utc=True)).tz_localize(None).to_numpy()
     if given.dtype.kind in "mM" and given.ndim == 1:
-        empty, since = np.isnat(given), given - given[0]
+        empty = np.isnat(given)
+        since = given - given[~empty][:1] if not empty.all() else given
         return np.where(empty, np.nan, since / np.timedelta64(1, "s"))
     return _floats(given, f"{source}: times")
 
@@ -246,6 +253,8 @@ def _floats(given: object, what: str) -> np.ndarray:
     try:
         return np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):
+        with contextlib.suppress(AttributeError, TypeError, ValueError):  # what pandas calls NA has no number
+            return cast(Any, given).to_numpy(dtype=np.float64, na_value=np.nan)
         raise InputError(f"{what}: are no array of numbers; give numbers, as many in every row") from None
 
 

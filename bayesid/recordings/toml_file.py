@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
@@ -85,9 +85,14 @@ def read_toml(path: Path, kind: type[File], keys: Keys, asked: str) -> File:
         raise InputError(f"{path.name}: not valid TOML: a number has thousands of digits; write 1e9 and the like") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file") from None
+    return as_file(data, kind, keys, path.name)
+
+
+def as_file(data: Mapping[str, Any], kind: type[File], keys: Keys, name: str) -> File:
+    """What a TOML file of a name holds, as its model; an `InputError` where it holds a wrong key or value."""
     try:
         return kind.model_validate(data)
     except ValidationError as error:
         # A misspelt key often shows twice, as an unknown key and as a missing one: the first says more.
         details = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
-        raise InputError(f"{path.name}: {describe(details[0], keys, kind.model_fields, data)}") from None
+        raise InputError(f"{name}: {describe(details[0], keys, kind.model_fields, data)}") from None

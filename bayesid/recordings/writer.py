@@ -11,7 +11,7 @@ import tomli_w
 
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
-from bayesid.recordings.schema import dump_model
+from bayesid.recordings.schema import check_document, dump_model
 from bayesid.recordings.table import write_table
 from bayesid.recordings.whole import whole_folder
 
@@ -33,8 +33,8 @@ def write_experiment(experiment: Experiment, folder: str | Path, extra: Mapping[
     Raises
     ------
     InputError
-        The folder has something in it, is a file, or cannot be written; or a motion is read in chunks, of which only an excerpt
-        is in memory.
+        The folder has something in it, is a file, or cannot be written; a name or number is none that a folder may have; or a
+        motion is read in chunks, of which only an excerpt is in memory.
     """
     folder = Path(folder)
     for motion in experiment.motions:
@@ -88,4 +88,5 @@ def _write_into(experiment: Experiment, folder: Path) -> None:
         section |= {} if motion.period is None else {"period": float(motion.period)}
         section |= {"parked": [list(map(float, interval)) for interval in motion.parked]} if motion.parked else {}
         document["motion"].append(section)
+    check_document(document)
     (folder / "experiment.toml").write_text(tomli_w.dumps(document), encoding="utf-8")

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.robot import inertia
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
@@ -59,7 +60,7 @@ def locate_sensor(urdf: Path, model, name: str, index, parent, anchor, frame) ->
         known = [f.name for f in model.frames if f.type in kinds and f.name != "universe"]
         close = get_close_matches(name, known, 1)
         hint = f"did you mean '{close[0]}'?" if close else f"its joints are: {', '.join(known)}"
-        raise InputError(f"experiment.toml: [sensor] joint '{name}' is not in {urdf.name}; {hint}")
+        raise InputError(f"sensor joint '{name}' is not in {urdf.name}; {hint}")
     n = len(parent)
     if name in index:
         i = index[name]
@@ -278,7 +279,7 @@ def load_robot(
     urdf
         Path of a URDF, a xacro file (``"FILE name:=value"`` with arguments) or an MJCF file, or ``"robot_descriptions:NAME"``.
     joints
-        Moving joints in the order of q1 ... qn; default: every moving joint in the URDF's order.
+        Moving joints in the order of q1 ... qn; default: every moving joint that is not locked, in the URDF's order.
     locked
         Position [rad or m] of every other moving joint; default 0.
     gravity
@@ -296,10 +297,20 @@ def load_robot(
     urdf, model = file.path, _read(file)
     locked = dict(locked or {})
     moving = [str(name) for name in model.names[1:]]
-    joints = list(moving if joints is None else joints)
+    joints = [name for name in moving if name not in locked] if joints is None else list(joints)
     for name in [*joints, *locked]:
         if name not in moving:
             raise InputError(_unknown_joint(urdf, model, name, moving))
+    for name in joints:
+        if joints.count(name) > 1:
+            raise InputError(f"joint '{name}' is listed twice; list each joint once ({argument('joints')})")
+    for name, position in locked.items():
+        if name in joints:
+            raise InputError(f"joint '{name}' is one of joints and locked, too; it moves or is locked ({argument('locked')})")
+        if not np.isfinite(position):
+            raise InputError(f"joint '{name}' is locked at {position}; write where it stands [rad or m] ({argument('locked')})")
+    if np.shape(gravity) != (3,) or not np.isfinite(gravity).all():
+        raise InputError(f"{argument('gravity')}: {list(gravity)} will not do; give three numbers [m/s^2]")
     index = {name: k for k, name in enumerate(joints)}
     n = len(joints)
 

@@ -66,8 +66,21 @@ def test_lists_arrays_and_frames_are_one(arm, kind) -> None:
 def test_dates_and_durations_count_from_the_first(arm) -> None:
     _, first, _ = arm
     dates = pd.Timestamp("2026-03-01") + pd.to_timedelta(first.t, unit="s")
-    for times in (dates, pd.DatetimeIndex(dates), dates.to_numpy(), pd.to_timedelta(first.t, unit="s")):
+    there = pd.DatetimeIndex(dates).tz_localize("Europe/Rome")  # the clocks of a country, and Python's own
+    kinds = (dates, pd.DatetimeIndex(dates), dates.to_numpy(), pd.to_timedelta(first.t, unit="s"), there, pd.Series(there))
+    for times in kinds:
         np.testing.assert_allclose(Table(times, first[Q]).times, first.t - first.t[0], atol=1e-8)
+    np.testing.assert_allclose(Table(list(there.to_pydatetime()), first[Q]).times, first.t - first.t[0], atol=1e-6)
+    late = dates.to_numpy().copy()
+    late[0] = "NaT"
+    np.testing.assert_allclose(Table(late, first[Q]).times, first.t[1:] - first.t[1], atol=1e-8)
+
+
+def test_what_pandas_calls_missing_is_a_reading_that_is_missing(arm) -> None:
+    _, first, _ = arm
+    torques = first[TAU].astype("Float64")
+    torques.loc[4, "tau1"] = pd.NA
+    np.testing.assert_array_equal(Table(first.t, first[Q], torques=torques).torques, np.delete(first[TAU], 4, axis=0))
 
 
 @pytest.mark.parametrize(
@@ -94,19 +107,65 @@ def test_what_a_file_is_refused_for_arrays_are(change, says: str, arm) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (dict(joints=None), "q has 2 columns but robot.urdf has 6 moving joints"),
+        (dict(joints=None, locked=None), "q has 2 columns but robot.urdf has 6 moving joints"),
         (dict(torques=None), "torques and wrench are missing; give one"),
         (dict(torques=None, sensor=Sensor()), "wrench is missing although a sensor is given"),
         (dict(torques=np.zeros((5, 2))), "torques have shape"),
         (dict(validation=dict(t=[0.0], q=[[0.0, 0.0]], tau=[[1.0, 1.0]])), "validation: tau: no such array"),
         (dict(validation=dict(t=[0.0])), "validation: q is missing"),
         (dict(kind="pose"), "kind = 'pose'"),
+        (dict(validation=pd.DataFrame({"t": [0.0]})), "validation.*: is a str; give dict"),
+        (dict(joints=["joint1", "joint1"], locked={}), "joint 'joint1' is listed twice"),
+        (dict(joints=["joint1", "joint2"], locked={"joint2": 0.0}), "joint 'joint2' is one of joints and locked, too"),
+        (dict(locked={"joint3": np.nan}), "joint 'joint3' is locked at nan; write where it stands"),
+        (dict(gravity=[0.0, -9.81]), "gravity: .* will not do; give three numbers"),
+        (dict(gravity=[0.0, 0.0, np.nan]), "gravity: .* will not do"),
+        (dict(sensor="joint9"), "sensor joint 'joint9' is not in robot.urdf"),
+        (dict(inertia_rel_std=-0.1), "inertia_rel_std: -0.1 is out of range"),
+        (dict(position_resolution=np.nan), "position_resolution: nan is out of range"),
+        (dict(gear_ratio={"joint9": 100.0}), 'gear_ratio: "joint9" is not one of joints; did you mean'),
+        (dict(gear_ratio={"joint1": 0.0}), "gear_ratio: joint1 = 0.0 is out of range"),
     ],
 )
 def test_wrong_arguments_are_told_in_python_s_words(arguments: dict, says: str, arm) -> None:
     with pytest.raises(InputError, match=says) as caught:
         made(arm, **arguments)
     assert "experiment.toml" not in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("asked", [dict(joints=["joint2", "joint1"]), dict(gravity=[0.0, 0.0, 9.81])])
+def test_a_robot_that_was_loaded_otherwise_is_refused(asked: dict, arm) -> None:
+    """Joints and gravity beside such a robot were ignored."""
+    folder, first, _ = arm
+    setup = load_experiment(folder)
+    given = dict(torques=first[TAU], joints=["joint1", "joint2"], locked=setup.locked)
+    assert Experiment.from_arrays(setup.robot, first.t, first[Q], **given).robot is setup.robot
+    with pytest.raises(InputError, match=f"{next(iter(asked))} = .*, but the robot was loaded with"):
+        Experiment.from_arrays(setup.robot, first.t, first[Q], **(given | asked))
+
+
+def test_joints_that_are_locked_are_not_among_those_that_move(arm) -> None:
+    """Unless all that move are named, these are all others; that they are locked was ignored."""
+    expected = made(arm)
+    found = made(arm, joints=None, locked={f"joint{k}": 0.0 for k in (3, 4, 5, 6)} | expected.locked)
+    assert found.robot.joint_names == ("joint1", "joint2")
+    np.testing.assert_array_equal(found.robot.nominal, expected.robot.nominal)
+
+
+def test_effects_and_a_sensor_are_named_as_elsewhere(arm) -> None:
+    assert made(arm, effects="viscous_friction, coulomb_friction").effects == ("viscous_friction", "coulomb_friction")
+    assert made(arm, sensor="base", torques=None, wrench=np.ones((len(arm[1]), 6)) * arm[1].t.to_numpy()[:, None]).sensor
+    for key in ("force_std", "torque_std"):
+        for std in (0.0, -1.0, np.nan):
+            with pytest.raises(InputError, match=f"sensor {key}: .* is no sensor's noise"):
+                Sensor(**{key: std})
+
+
+def test_what_could_not_be_read_again_is_not_written(arm, tmp_path: Path) -> None:
+    """A folder that was written had a name which `load_experiment` refuses."""
+    with pytest.raises(InputError, match='experiment.toml: name: "a/b" will not do'):
+        write_experiment(made(arm, name="a/b"), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_holes_and_repeats_are_left_out_and_told_once(arm) -> None:
