@@ -45,3 +45,9 @@ class EstimationError(BayesidError):
 
 class BayesidWarning(UserWarning):
     """Something in the data or the result that the user should know, but that stops nothing."""
+
+
+def require_seed(seed: Any) -> None:
+    """Refuse a seed that is no whole number of at least 0, with an `InputError`."""
+    if not (hasattr(seed, "__index__") and seed >= 0):
+        raise InputError(f"seed = {seed}: give a whole number of at least 0")

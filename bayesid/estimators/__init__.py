@@ -116,7 +116,9 @@ def _stated_noise_doubted(regression: Regression, estimate: Estimate) -> str:
     if regression.noise_std is None:
         return ""
     efficient = pilot_of(regression.rows).whitened(learn_weights(regression).noise)
-    degrees = max(efficient.rows - len(estimate.solution), 1)
+    degrees = efficient.rows - len(estimate.solution)
+    if degrees <= 0:  # no residuals are left
+        return ""
     # Of the efficient fit, whose residuals are the smallest; but not of outliers that this estimator leaves out.
     square = min(efficient.least_squares, degrees * estimate.residual_rms**2)
     ratio = f"{(square / degrees) ** 0.5:.3g} times the stated noise_std"

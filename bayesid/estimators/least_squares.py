@@ -209,7 +209,8 @@ def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> 
     def gcv(k: float) -> float:
         kept = inverse(s, k) * s
         rss = floor + np.sum(((1.0 - kept) * rotated) ** 2)
-        return float(rss / (factor.rows - effects.shape[1] - kept.sum()) ** 2)
+        left = factor.rows - effects.shape[1] - kept.sum()
+        return float(rss / left**2) if left > 0.0 else np.inf
 
     if given is not None:
         chosen = float(given)
@@ -243,8 +244,11 @@ def make_estimate(
 ) -> Estimate:
     """An estimate with what every one says of itself: residuals in units of the noise, whiteness, weak parameters.
 
-    ``factor`` is of the rows as they were weighted; base and effect parameters (p,) have a covariance (p, p), or None.
+    ``factor`` is of the rows as they were weighted; base and effect parameters (p,) have a covariance (p, p), or None. Without a
+    residual to learn the noise from, none is honest.
     """
+    exact = regression.noise_std is None and factor.rows <= np.linalg.matrix_rank(factor.matrix / column_lengths(factor.matrix))
+    covariance = None if exact else covariance
     white = [residual_of(rows, solution) for _, rows in whitened(regression.rows.pilot(), weights.noise)]
     count = sum(w.size for w in white)
     rms = float(np.sqrt(sum(np.sum(w**2) for w in white) / max(count - len(solution), 1)))
@@ -262,7 +266,8 @@ def make_estimate(
         full_covariance=covariance,
         undetermined=factor.undetermined,
         weak=weak,
-        interval="confidence",
+        interval="none" if exact else "confidence",
+        interval_reason=f"{factor.rows} numbers leave no residual to tell the noise by; record longer" if exact else "",
         noise=weights.noise,
         rows=factor.rows,
         condition_number=condition_number(factor.matrix),

@@ -25,6 +25,8 @@ _GRID = 512
 #: Order of the recursion that stands for the curve; four cosines need no more.
 _ORDER = 12
 _DEEPEST = 1e-3
+#: Power of the residuals as a share of what encoder errors add, at least: of a fit that leaves none.
+_LEAST = 1e-12
 
 
 def sensor_noise(
@@ -61,7 +63,7 @@ def sensor_noise(
     weight = np.sqrt(curves) / (curves + np.einsum("fcc->cf", added))
     mix = np.einsum("cf,fcd,df->cd", weight, power - added, weight)
     share = np.einsum("cf,df->cd", weight * np.sqrt(curves), weight * np.sqrt(curves))
-    correlation = mix / np.maximum(share, 1e-300)
+    correlation = np.clip(mix / np.maximum(share, 1e-300), -1.0, 1.0)
     np.fill_diagonal(correlation, 1.0)
     values, vectors = np.linalg.eigh(correlation)
     correlation = (vectors * np.maximum(values, 1e-3)) @ vectors.T
@@ -85,7 +87,7 @@ def _cross_spectrum(rows: np.ndarray, grid: int) -> np.ndarray:
 def _curve(power: np.ndarray, added: np.ndarray, rows: int) -> np.ndarray:
     """Sensor spectrum of one channel on the grid; ``rows`` 0: one number."""
     grid = len(power)
-    scale = max(power.mean(), 1e-300)
+    scale = max(power.mean(), _LEAST * added.mean(), 1e-200)
     power, added = power / scale, added / scale
     angle = np.pi * (np.arange(grid) + 1) / grid
     # Grid points are closer than a periodogram's independent frequencies, of which there are rows / 2.

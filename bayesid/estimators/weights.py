@@ -190,13 +190,16 @@ def noise_of_residuals(
     root = None if efficient is None else pseudo_inverse(efficient.matrix)
     for group in dict.fromkeys(b.group for b in blocks):
         own = [b for b in blocks if b.group == group]
+        rows, taken = sum(len(b.rows) for b in own), sum(len(b.rows) for b in own) / total * len(values)
         noise[group] = estimate_noise(
             [b.residual(values) for b in own],
-            parameters=round(sum(len(b.rows) for b in own) / total * len(values)),
+            parameters=round(taken),
             known_poles=regression.rows.known_poles if group == "trajectory" else None,
             highest_order=0 if group == "poses" else 24,
             spread=None if root is None else [regressor_times(b, root) for b in own],
         )
+        if group == "poses":  # of which there are few
+            noise[group] = noise[group].with_sure_correlations(rows - taken / len(noise[group].std))
     return noise
 
 

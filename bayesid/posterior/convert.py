@@ -32,6 +32,11 @@ def before_trees(az: Any) -> bool:
     return int(az.__version__.partition(".")[0]) < 1
 
 
+def as_dataset(group: Any) -> Any:
+    """A group as an xarray Dataset, whichever ArviZ it is of."""
+    return group.to_dataset() if hasattr(group, "to_dataset") else group
+
+
 def to_arviz(
     groups: dict[str, dict[str, np.ndarray]],
     coordinates: dict[str, Any],

@@ -52,8 +52,9 @@ _PANEL, _PASSES = 4096, 2
 class ScalePrior:
     """Inverse gamma law of every squared scale, ``s^2 ~ IG(shape, rate)``; (0, 0) is Jeffreys' ``1 / s``."""
 
-    shape: float = 0.0
-    rate: float = 0.0
+    #: One for all scales, or one for each (k,).
+    shape: float | np.ndarray = 0.0
+    rate: float | np.ndarray = 0.0
     known: bool = False  # whether scales are held at one instead
 
     def log_density(self, log_scales: np.ndarray) -> np.ndarray:

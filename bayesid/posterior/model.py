@@ -30,7 +30,7 @@ from bayesid.errors import InputError
 from bayesid.estimators.dispersion import PARTS
 from bayesid.posterior.likelihood import NOISES, DofPrior, Likelihood, ScalePrior, student_log_likelihood, student_slopes
 from bayesid.posterior.trajectory import COLUMN, ROW, travel
-from bayesid.regression.linalg import undetermined
+from bayesid.regression.linalg import column_lengths, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
@@ -123,6 +123,8 @@ class PosteriorModel:
             options = {"scale_prior": ScalePrior(0.5 * (PARTS - 1), 0.5 * (PARTS - 1)), **options}
         elif regression.noise_std is not None:
             options = {"scale_prior": ScalePrior(known=True), **options}
+        else:
+            options = {"scale_prior": _scale_prior(likelihood), **options}
         model = cls(
             regression.base, regression.effect_names, regression.effect_units,
             np.array(regression.knowledge.effect_non_negative or (False,) * effects, bool),
@@ -434,6 +436,23 @@ class PosteriorModel:
     def _by_body(self, x: np.ndarray) -> np.ndarray:
         """Ten coordinates of each body (..., b, 10) of points (..., at least 10 b)."""
         return x[..., : 10 * self.bodies].reshape(*x.shape[:-1], self.bodies, 10)
+
+
+def _scale_prior(likelihood: Likelihood) -> ScalePrior:
+    """Jeffreys' law of the scales; one row as noisy as was learned beside those of a channel that has few.
+
+    Where parameters can fit all rows of a channel without residuals, Jeffreys' law makes the posterior grow without limit there.
+    An `InputError` where they fit all rows of all channels: then no noise was learned.
+    """
+    matrix = np.concatenate([f[:, :-1] for f in likelihood.factors])
+    shown = int(np.linalg.matrix_rank(matrix / column_lengths(matrix)))
+    if likelihood.rows <= shown:
+        raise InputError(
+            f"{likelihood.rows} numbers show {shown} parameters, so no residual is left to tell the noise by; record longer, "
+            "or more poses"
+        )
+    few = 0.5 * (likelihood.counts <= matrix.shape[1])
+    return ScalePrior(few, few) if few.any() else ScalePrior()
 
 
 def normaliser(body: np.ndarray) -> np.ndarray:

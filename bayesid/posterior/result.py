@@ -14,7 +14,7 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.estimators.parameters import HasParameters, Parameters, tails
 from bayesid.estimators.prior_check import PriorCheck, conflicts
-from bayesid.posterior.convert import Groups, to_arviz
+from bayesid.posterior.convert import Groups, as_dataset, to_arviz
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.run import Chains, Convergence
 from bayesid.rounding import LEVEL
@@ -227,8 +227,7 @@ class Posterior(Plots, HasParameters):
 
     def to_xarray(self) -> Dataset:
         """The draws as an xarray Dataset: ``base`` (chain, draw, base_parameter) and what else was sampled; as in `to_arviz`."""
-        group = self.to_arviz()["posterior"]
-        return group.to_dataset() if hasattr(group, "to_dataset") else group
+        return as_dataset(self.to_arviz()["posterior"])
 
     def _attributes(self) -> dict[str, Any]:
         model = self.model
@@ -313,9 +312,7 @@ class Posterior(Plots, HasParameters):
             There are no such rows or channels, or there are fewer or more axes than channels.
         """
         known = self.extra.arrays.get("posterior_predictive", {})
-        rows = rows or ("validation" if "validation" in known else "fitted")
-        if rows not in known:
-            raise InputError(f"rows '{rows}' were not predicted; choose one of {', '.join(known) or 'none: sample makes them'}")
+        rows = predicted_rows(rows, list(known))
         names, measured = self.extra.coordinates["channel"], self.extra.arrays["observed_data"][rows]
         return figures_of(self)["predictive"](names, known[rows], measured, channels, ax)
 
@@ -351,6 +348,14 @@ class Posterior(Plots, HasParameters):
     def _repr_html_(self) -> str:
         """The same as an HTML table for notebooks."""
         return as_html([*conflicts(self.prior_check), self.parameters().table("posterior")])
+
+
+def predicted_rows(rows: str | None, known: Sequence[str]) -> str:
+    """Which of the predicted rows are meant: those given, else of motions that were not fitted; an `InputError` where unknown."""
+    rows = rows or ("validation" if "validation" in known else "fitted")
+    if rows not in known:
+        raise InputError(f"rows '{rows}' were not predicted; choose one of {', '.join(known) or 'none: sample makes them'}")
+    return rows
 
 
 def _summaries(names, draws: np.ndarray, share: np.ndarray | None = None) -> list[dict[str, Any]]:

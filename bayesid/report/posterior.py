@@ -271,6 +271,11 @@ def _effects_and_noise(result: ExperimentPosterior) -> list[Part]:
         parts = [ShownTable(["effect", *head], effects, "k nb n ku n", "narrow")]
     if scales:
         text = "Scales of the noise of each channel, in units of the noise that was learned from the residuals: 1 is as learned."
+        if model.likelihood.estimate_only:
+            text = (
+                "The model is not complete, so there is one scale, of all standard deviations that the data state, in place of "
+                "one a channel: above 1 where the prior contradicts them."
+            )
         if model.noise == "student":
             text += " Few degrees of freedom say that outliers are frequent; above about 30 the noise is as good as Gaussian."
         parts += [text, ShownTable(["channel", *head], scales, "k nb n ku n", "narrow")]
@@ -316,13 +321,16 @@ def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
         prior += (
             f", scaled, shifted and warped by {percent(result.rel_std, 3)} (one standard deviation)" if result.rel_std else ""
         )
+        check = result.prior_check
+        if check is not None and check.widening > 1.0:
+            prior += f", all times {number(check.widening, 2)}, for the data contradict it"
         prior += "; only bodies that can exist" if model.physical else ""
     engine = {
         "hmc": "exact Hamiltonian trajectories that bounce off the walls, Gibbs steps for the noise",
         "emcee": "emcee, independence moves from the Laplace approximation and differential evolution",
     }[chains.engine]
     noise = {
-        "gaussian": "Gaussian, one unknown scale a channel",
+        "gaussian": f"Gaussian, one unknown scale {'in all' if model.likelihood.estimate_only else 'a channel'}",
         "student": "Student's t, one weight an instant for all channels, unknown scales and degrees of freedom",
     }[model.noise]
     return [
@@ -346,4 +354,4 @@ def _(result: Posterior) -> Figures:
 def _(result: LoadedPosterior) -> Figures:
     draws = result.base_draws.reshape(-1, result.base_draws.shape[-1])
     names = result.base.short_names if "base_map" in result.document else list(result.names)
-    return {"marginals": partial(marginals, names, draws, None, None)}
+    return {"marginals": partial(marginals, names, draws, None, None), "predictive": predictive}

@@ -25,7 +25,7 @@ REPORT = "report.html"
 SCHEMA = 1
 #: Keys of a written document that are not of the result's `to_dict`: what it is, how it prints, and the other files' hashes.
 BESIDE = ("result", "printed", "files")
-#: What each verb writes beside the report.
+#: What each verb writes beside the report; a star stands for any number.
 WRITTEN = {
     "accuracy": ("accuracy.json",),
     "bounds": ("bounds.json", "bounds.mat", "identified.urdf"),
@@ -37,7 +37,10 @@ WRITTEN = {
         "excitation.json", "trajectory.csv", "motions.toml", "parked.csv", "poses.csv", "reversed.csv", "speed-33.csv",
         "speed-67.csv", "stop-and-go.csv",
     ),
-    "export": ("export.json", "identified.xml", "identified.urdf", "inverse_dynamics.hpp", "inverse_dynamics.py", "ranges.json"),
+    "export": (
+        "export.json", "identified.xml", "identified.urdf", "identified.sdf", "inverse_dynamics.hpp", "inverse_dynamics.py",
+        "ranges.json", "sampled-*.xml", "sampled-*.urdf",
+    ),
     "identifiability": ("identifiability.json",),
     "identify": ("estimate.json", "identified.urdf", "identified-unconstrained.urdf", "model.toml"),
     "payload": (
@@ -196,7 +199,7 @@ def _write_document(path: Path, document: Mapping[str, Any]) -> None:
 
 def _check_ours(folder: Path, names: Iterable[str]) -> None:
     """Refuse to replace files that no earlier run wrote, or that were changed since."""
-    there = [name for name in names if (folder / name).exists()]
+    there = [path.name for name in names for path in folder.glob(name)]
     if not there:
         return
     documents = [path.name for path in folder.glob("*.json") if _document(path) is not None]

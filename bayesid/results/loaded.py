@@ -20,7 +20,8 @@ from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.estimators.estimator import CustomDetails, Details
 from bayesid.estimators.parameters import HasParameters, Parameters, central_interval, tails
-from bayesid.posterior.convert import load_arviz
+from bayesid.posterior.convert import as_dataset, load_arviz
+from bayesid.posterior.result import predicted_rows
 from bayesid.results.comparison import Entry, HasEntries
 from bayesid.results.estimated import HasEstimate
 from bayesid.results.files import BESIDE
@@ -33,6 +34,7 @@ from bayesid.validation.prediction import Prediction
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
+    from xarray import Dataset
 
 #: Files that hold a result, and which one where they do not say it.
 DOCUMENTS = {
@@ -88,6 +90,12 @@ class Loaded(Plots):
             raise self._lacks(name)
         raise AttributeError(f"a loaded {self.__dict__.get('kind', 'result')} has no '{name}'; it has {', '.join(document)}")
 
+    def _held(self, key: str, name: str) -> Any:
+        """An entry of the document that `name` is made of; a `NeedsRecording` where it is not there, as in draws alone."""
+        if key not in self.document:
+            raise self._lacks(name)
+        return self.document[key]
+
     def _lacks(self, name: str) -> NeedsRecording:
         return NeedsRecording(
             f"{self.path}: does not hold what {name} of {self.kind} needs, which is the recording; run the verb again on the "
@@ -111,12 +119,12 @@ class _WithPredictions(Loaded):
     @property
     def fitted(self) -> tuple[Prediction, ...]:
         """Errors of the fitted motions."""
-        return _predictions(self.document["fit"])
+        return _predictions(self._held("fit", "fitted"), fitted=True)
 
     @property
     def validation(self) -> tuple[Prediction, ...]:
         """Errors of the motions that were not fitted."""
-        return _predictions(self.document["validation"])
+        return _predictions(self._held("validation", "validation"))
 
 
 def _column(key: str, text: str) -> Any:
@@ -226,7 +234,7 @@ class LoadedComparison(HasEntries, Loaded):
             name=d["name"], description=d.get("description", ""),
             estimate=_estimate({**self.document, **d}, d["effects"]) if "method" in d else None, refusal=d.get("reason", ""),
             seconds=self.document["runtime_s"]["methods"].get(d["name"], 0.0), links=None if links is None else np.array(links),
-            impossible=None if impossible is None else tuple(impossible), fitted=_predictions(d.get("fit", ())),
+            impossible=None if impossible is None else tuple(impossible), fitted=_predictions(d.get("fit", ()), fitted=True),
             validation=_predictions(d.get("validation", ())),
         )  # fmt: skip
 
@@ -249,6 +257,10 @@ class LoadedPosterior(HasParameters, _WithParameters, _WithPredictions):
         if not path.is_file():
             raise InputError(f"{path}: no such file, and the draws are in it; sample again")
         return load_arviz().from_netcdf(str(path))
+
+    def to_xarray(self) -> Dataset:
+        """The draws as an xarray Dataset: ``base`` (chain, draw, base_parameter) and what else was sampled; as in `to_arviz`."""
+        return as_dataset(self._group)
 
     @cached_property
     def _group(self) -> Any:
@@ -280,7 +292,13 @@ class LoadedPosterior(HasParameters, _WithParameters, _WithPredictions):
     @property
     def base(self) -> BaseParameters:
         """What the base parameters are combinations of."""
+        self._held("base_map", "base")
         return _base(self.document)
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """``alone``, ``combination`` or, where the prior decides, ``prior`` for each base parameter."""
+        return tuple(p["class"] for p in self.document["base_parameters"])
 
     def parameters(self, level: float = LEVEL) -> Parameters:
         """Base parameters, then effect parameters, with central intervals of a probability, from the draws.
@@ -299,6 +317,14 @@ class LoadedPosterior(HasParameters, _WithParameters, _WithPredictions):
     def plot_marginals(self, *, ax: Any = None) -> Figure:
         """Draw the posterior of every base parameter; the prior is not in the file."""
         return figures_of(self)["marginals"](ax=ax)
+
+    def plot_predictive(self, rows: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
+        """Draw rows as measured over the 95 % of the readings that the posterior predicts; as `Posterior.plot_predictive`."""
+        draws = self.to_arviz()
+        predicted, measured = draws["posterior_predictive"], draws["observed_data"]
+        chosen = predicted_rows(rows, list(predicted.data_vars))
+        names = [str(name) for name in predicted["channel"].values]
+        return figures_of(self)["predictive"](names, predicted[chosen].values, measured[chosen].values, channels, ax)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -401,7 +427,8 @@ def _of_draws(file: Path) -> dict[str, Any]:
             return []
         array = group[variable]
         short = [str(n) for n in array.coords[array.dims[-1]].values]
-        names = [str(n) for n in group.attrs["base_parameters"]] if variable == "base" else short
+        # NetCDF gives a list of one text back as that text.
+        names = [str(n) for n in np.atleast_1d(group.attrs["base_parameters"])] if variable == "base" else short
         draws = np.asarray(array.values, float).reshape(-1, len(names))
         low, high = np.quantile(draws, tails(), axis=0)
         columns = zip(names, short, draws.mean(axis=0), draws.std(axis=0, ddof=1), low, high, strict=True)
@@ -413,9 +440,9 @@ def _of_draws(file: Path) -> dict[str, Any]:
 
     draws = np.asarray(group["base"].values, float)
     return {
+        **{key: value for key, value in group.attrs.items() if isinstance(value, (str, int, float))},
         "experiment": None, "base_parameters": entries("base"), "effect_parameters": entries("effect"),
         "covariance": np.atleast_2d(np.cov(draws.reshape(-1, draws.shape[-1]).T)).tolist(),
-        **{key: value for key, value in group.attrs.items() if isinstance(value, (str, int, float))},
     }  # fmt: skip
 
 
@@ -479,7 +506,7 @@ def _numbers(listed: Sequence[Mapping[str, Any]], key: str) -> np.ndarray:
     return np.array([p[key] for p in listed], float)
 
 
-def _predictions(listed: Sequence[Mapping[str, Any]]) -> tuple[Prediction, ...]:
+def _predictions(listed: Sequence[Mapping[str, Any]], *, fitted: bool = False) -> tuple[Prediction, ...]:
     """Errors of predictions; the samples are not in the file."""
     out = []
     for d in listed:
@@ -494,6 +521,7 @@ def _predictions(listed: Sequence[Mapping[str, Any]]) -> tuple[Prediction, ...]:
                 d["motion"], d["role"], names, ("",) * len(names), none[:, 0], none, none, rmse, rmse_raw, nrmse, nrmse_raw,
                 d["whitened_rms"], whitened, d["interval_coverage"], d["expected_rms"], d["noise_source"], d["repeats"],
                 flexible=None if (gap := d.get("flexible_model")) is None else FlexibleGap(gap["removed"], gap["std"]),
+                fitted=fitted,
             )
         )  # fmt: skip
     return tuple(out)

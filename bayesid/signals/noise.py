@@ -53,6 +53,19 @@ class NoiseModel:
         root = np.broadcast_to(np.sqrt(factor), len(self.innovation))
         return replace(self, innovation=self.innovation * np.outer(root, root))
 
+    def with_sure_correlations(self, rows: float) -> NoiseModel:
+        """The same sizes, correlations of the channels shrunk by the share of their squares that chance makes of so few rows.
+
+        Fewer rows than channels would make a combination of channels look noiseless [Schaefer2005]_.
+        """
+        size = np.sqrt(np.diag(self.innovation))
+        correlation = self.innovation / np.outer(size, size)
+        apart = ~np.eye(len(size), dtype=bool)
+        squares = correlation[apart] ** 2
+        chance = np.sum((1.0 - np.minimum(squares, 1.0)) ** 2) / max(rows - 1.0, 1.0)
+        correlation[apart] *= 1.0 - min(chance / max(float(squares.sum()), 1e-300), 1.0)
+        return replace(self, innovation=correlation * np.outer(size, size))
+
     def of_channel(self, channel: int) -> NoiseModel:
         """The noise of one channel alone."""
         only = slice(channel, channel + 1)

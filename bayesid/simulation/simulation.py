@@ -28,7 +28,7 @@ from bayesid.effects.exact import readings
 from bayesid.effects.linearised import reach_of, stated_of
 from bayesid.effects.sizes import ANY_EFFORT
 from bayesid.effects.torque_chain import coupling_matrix
-from bayesid.errors import InputError
+from bayesid.errors import InputError, require_seed
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, as_experiment
 from bayesid.recordings.table import Table
 from bayesid.recordings.toml_file import LARGEST
@@ -177,10 +177,11 @@ def simulate(
     Raises
     ------
     InputError
-        Unknown effect, place or parameter; links of the wrong shape.
+        Unknown effect, place or parameter; links of the wrong shape; a seed below 0.
     """
     if isinstance(setup, Robot):
         setup = Experiment(setup.name, setup, (), Sensor(setup.sensor_joint))
+    require_seed(seed)
     setup = as_experiment(setup, "a Robot")
     robot = setup.robot
     streams = [int(s.generate_state(1)[0]) for s in np.random.SeedSequence(seed).spawn(3)]

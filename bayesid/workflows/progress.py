@@ -11,6 +11,8 @@ import warnings
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
 
+from bayesid.errors import require_seed
+
 #: Called with the name of every stage.
 Progress = Callable[[str], None]
 _P = ParamSpec("_P")
@@ -40,12 +42,13 @@ SHOWN = _Shown()
 
 
 def shows_progress(verb: Callable[_P, _R]) -> Callable[_P, _R]:
-    """A verb whose ``progress`` is a display while that is `SHOWN`."""
+    """A verb whose ``progress`` is a display while that is `SHOWN`, and whose ``seed`` has to be one."""
     signature = inspect.signature(verb)
 
     @functools.wraps(verb)
     def shown(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         given = signature.bind(*args, **kwargs)
+        require_seed(given.arguments.get("seed", 0))
         if given.arguments.get("progress", SHOWN) is not SHOWN:
             return verb(*args, **kwargs)
         with _Display(verb.__name__) as display:

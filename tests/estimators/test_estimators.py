@@ -1,3 +1,6 @@
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -5,9 +8,11 @@ from scipy.signal import lfilter
 from bayesid.errors import InputError
 from bayesid.estimators import LeastSquares, Ridge, TruncatedSVD, fit
 from bayesid.estimators.weights import learn_weights
+from bayesid.regression.blocks import Block
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import Regression
+from bayesid.regression.row_cache import RowCache
 from bayesid.robot.robot import load_robot
 from bayesid.signals.filters import LowPass
 from tests.robots import panda, ur5, write
@@ -219,3 +224,30 @@ def test_columns_that_cannot_be_told_apart_make_no_other_surer(method, tmp_path)
         np.testing.assert_allclose(both.values[~hidden], plain.values[~hidden], atol=float(0.05 * plain.std.max()))
         np.testing.assert_allclose(both.std[~hidden], plain.std[~hidden], rtol=0.05)
     assert np.all(both.std[~hidden] > 0.9 * plain.std[~hidden]) and np.isnan(both.std[hidden]).all()
+
+
+@pytest.mark.parametrize("method", ["wls", "gls", "huber", "student", "tsvd"])
+def test_as_many_readings_as_parameters_leave_no_interval(method):
+    """No residual tells the noise: standard deviations were those of rounding, 1e-15."""
+    matrix, target = make(np.random.default_rng(0), samples=2)
+    estimate = fit(Regression.from_arrays(matrix, target), method)
+    assert estimate.interval == "none" and estimate.interval_reason
+    assert np.isnan(estimate.std).all() and np.isnan(estimate.low).all()
+    if method != "tsvd":
+        np.testing.assert_allclose(estimate.values, np.linalg.solve(matrix.reshape(4, 4), target.ravel()), rtol=1e-6)
+        assert fit(Regression.from_arrays(matrix, target, noise_std=[1.0, 0.1]), "wls").interval == "confidence"
+
+
+@pytest.mark.parametrize("poses", [3, 8])
+def test_few_poses_do_not_seem_to_tell_a_combination_of_channels_without_noise(poses):
+    """Of six channels that few rows correlate by chance, generalised least squares must know no more than there is to know."""
+    rng, errors = np.random.default_rng(1), []
+    for _ in range(40):
+        rows = rng.normal(size=(poses, 6, 5))
+        target = rows[:, :, :-1] @ np.arange(1.0, 5.0) + rng.normal(size=(poses, 6))
+        block = Block(np.concatenate([rows[:, :, :-1], target[:, :, None]], axis=2), np.arange(float(poses)), 0, True, "poses")
+        plain = Regression.from_arrays(rows[:, :, :-1], target)
+        made = replace(plain, rows=RowCache(partial(iter, (block,)), poses, 30))
+        estimate = fit(made, "gls")
+        errors.append((estimate.values - np.arange(1.0, 5.0)) / estimate.std)
+    assert np.mean(np.abs(errors) < 1.96) > 0.85

@@ -235,3 +235,20 @@ def test_conditions_of_the_fit_are_passed_on():
     assert_allclose(model.likelihood.counts, 300)
     gls = fit(data, "gls")
     assert_allclose(model.quadratic.centre, gls.values, rtol=1e-9)
+
+
+def test_a_channel_that_parameters_can_fit_exactly_keeps_a_scale():
+    """Jeffreys' law alone has no finite mass there; where all are fitted exactly, nothing tells the noise."""
+    few = PosteriorModel.of(regression(samples=4, p=4))
+    assert (np.broadcast_to(few.scale_prior.rate, 2) > 0).all()
+    assert PosteriorModel.of(regression(samples=5, p=4)).scale_prior == ScalePrior()
+    posterior = bayesid.sample(regression(samples=3, p=4), 200, keep_going=True, sampler=bayesid.Sampler(engine="hmc"))
+    assert posterior.std.min() > 1e-3
+    with pytest.raises(InputError, match="8 numbers show 8 parameters, so no residual is left"):
+        bayesid.sample(regression(samples=4, p=8))
+
+
+@pytest.mark.parametrize("seed", [-1, 0.5, None])
+def test_what_is_no_seed_is_refused(seed):
+    with pytest.raises(InputError, match=f"seed = {seed}: give a whole number of at least 0"):
+        bayesid.sample(regression(), seed=seed)

@@ -65,6 +65,14 @@ def test_a_file_of_the_users_own_is_never_replaced(name, tmp_path):
     assert contents(tmp_path) == {name: '{"schema": 1}'}
 
 
+@pytest.mark.parametrize("name", ["identified.sdf", "sampled-001.xml", "sampled-012.urdf"])
+def test_a_file_of_the_users_own_is_found_before_an_export_begins(name, tmp_path):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(InputError, match=f"{name} is there and is not as a run of bayesid wrote it"):
+        check_output(tmp_path, "export")
+    check_output(tmp_path / "new", "export")
+
+
 def test_our_file_that_the_user_changed_is_the_users(tmp_path):
     write(tmp_path, 1)
     (tmp_path / "model.toml").write_text("[model] # better\n")

@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 import bayesid
+from bayesid.posterior.convert import write_netcdf
 from bayesid.results.files import strict
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
@@ -205,9 +206,25 @@ def test_a_loaded_posterior_has_its_draws(results, loaded, tmp_path):
     bare = bayesid.load(alone)  # without posterior.json
     assert_same(live.base_draws, bare.base_draws)
     assert_same([live.values, live.low, live.covariance], [bare.values, bare.low, bare.covariance])
+    for name in ("base", "fitted", "validation"):
+        with pytest.raises(bayesid.NeedsRecording, match=f"does not hold what {name} of .* needs"):
+            getattr(bare, name)
+    assert back.classes == live.classes and [p.fitted for p in (*back.fitted, *back.validation)] == [True, False]
+    assert_same(np.asarray(back.to_xarray()["base"]), live.base_draws)
+    assert_same(drawn(live.plot_predictive()), drawn(back.plot_predictive()))
     back.path.with_name("posterior.nc").unlink()
     with pytest.raises(bayesid.InputError, match="posterior.nc: no such file, and the draws are in it; sample again"):
         bayesid.load(back.path).conf_int(0.5)
+
+
+def test_the_draws_of_a_single_base_parameter_are_loaded_without_the_numbers(tmp_path):
+    matrix, rng = np.linspace(1.0, 2.0, 40)[:, None, None], np.random.default_rng(0)
+    target = matrix[:, :, 0] + 0.1 * rng.normal(size=(40, 1))
+    live = bayesid.sample(bayesid.Regression.from_arrays(matrix, target), 200)
+    write_netcdf(live.to_arviz(), tmp_path / "posterior.nc")
+    back = bayesid.load(tmp_path)
+    assert back.names == live.names == ("p1",)
+    assert_same(live.values, back.values)
 
 
 @pytest.mark.parametrize(

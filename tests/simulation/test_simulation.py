@@ -184,6 +184,8 @@ def test_unusable_input_is_refused(setup):
         bayesid.Recorder(force_std=-1.0)
     with pytest.raises(bayesid.InputError, match="shape"):
         bayesid.simulate(setup, new_trajectories(setup.robot, 2.0), links=np.zeros((3, 10)))
+    with pytest.raises(bayesid.InputError, match="seed = -1: give a whole number of at least 0"):
+        bayesid.simulate(setup, seed=-1)
     with pytest.raises(bayesid.InputError, match="no such folder"):
         load_setup("no such folder")
 

@@ -275,8 +275,8 @@ class Physical:
         )
         return replace(
             estimate,
-            interval="none" if covariance is None else "credible" if about != "data" else "confidence",
-            interval_reason=reason,
+            interval="none" if estimate.covariance is None else "credible" if about != "data" else "confidence",
+            interval_reason=reason or estimate.interval_reason,
             details=details,
             links=links,
             possible=possible_range(regression.base.matrix, data.bodies, groups, len(regression.effect_names)),

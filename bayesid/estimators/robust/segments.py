@@ -45,6 +45,8 @@ WHOLE = 0.95
 #: Degrees of freedom are looked for in this range; the upper end is as good as normal.
 LOWEST_NU, HIGHEST_NU = 1.0, 1000.0
 _SCALE_PASSES = 100
+#: Squared scale of residuals that are all zero, which divides them still.
+_NO_SCALE = 1e-100
 
 
 @dataclass(frozen=True)
@@ -254,7 +256,7 @@ class HuberLoss:
         expected = float(np.sum(_clipped_mean(n, limit)))
         value = 1.0
         for _ in range(_SCALE_PASSES):
-            last, value = value, float(np.sum(np.minimum(q, value * limit))) / expected
+            last, value = value, max(float(np.sum(np.minimum(q, value * limit))) / expected, _NO_SCALE)
             if abs(value - last) <= 1e-9 * last:
                 break
         return value
@@ -293,7 +295,7 @@ class StudentLoss:
         """Maximum of the likelihood for this nu, by expectation and maximisation."""
         value = 1.0
         for _ in range(_SCALE_PASSES):
-            last, value = value, float(np.sum(self.weights(q / value, n) * q) / np.sum(n))
+            last, value = value, max(float(np.sum(self.weights(q / value, n) * q) / np.sum(n)), _NO_SCALE)
             if abs(value - last) <= 1e-9 * last:
                 break
         return value
