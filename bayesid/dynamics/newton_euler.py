@@ -18,8 +18,9 @@ R, P, W, DW, A = 0, 9 * _L, 12 * _L, 15 * _L, 18 * _L
 STATE = 21 * _L
 #: One of six rows of a body's block: ten parameters.
 BLOCK = 10 * _L
-#: Compiles a function as all of this package's kernels are; products and sums may be fused and reordered, nothing more.
-jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"})
+#: Compiles a function as all of this package's kernels are; products and sums may be fused and reordered, nothing more. What
+#: another kernel calls becomes part of it: else the process that compiles both rounds otherwise than those that find them made.
+jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"}, forceinline=True)
 
 # Vectors are tuples, matrices tuples of rows.
 dot = jit(lambda a, b: a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
