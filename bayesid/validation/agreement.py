@@ -10,12 +10,12 @@ The nominal model, its effects fitted or not, is the yardstick for every estimat
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bayesid.dynamics.base_parameters import structural_base
-from bayesid.effects import stated_of
+from bayesid.effects import starting_point, stated_of
 from bayesid.errors import BayesidError
 from bayesid.estimators import Estimate, Estimator, fit
 from bayesid.estimators.factor import reduce_scaled
@@ -24,7 +24,7 @@ from bayesid.estimators.weights import SMALLEST_AGREEMENT, Weights
 from bayesid.regression import hypothesis_tests, linalg
 from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import in_order
-from bayesid.regression.problem import Problem, prepare, restrict, weight_columns
+from bayesid.regression.problem import Problem, absorbed_offset, prepare, relinearised, restrict, weight_columns
 from bayesid.regression.readings import make_channels
 
 #: Eigenvalues of a difference of covariances, relative to the larger one, below which it says nothing.
@@ -111,41 +111,70 @@ def hausman(method: str, estimate: Estimate, efficient: str, best: Estimate) -> 
     return HausmanTest(method, efficient, test.statistic, test.degrees, test.probability)
 
 
-def nominal_estimates(problem: Problem, weights: Weights) -> list[tuple[str, Estimate]]:
+def nominal_estimates(problem: Problem, weights: Weights) -> list[tuple[str, Problem, Estimate]]:
     """The nominal model as it is, and if it has effects with these fitted to the data, each with a line on what it is.
 
+    Each with its own problem, for readings are linearised at the nominal links, and without a fit at the values that are stated.
     The fit of effects weights every channel by the noise of ``weights``.
     """
-    robot, base, regression = problem.experiment.robot, problem.row_model.base, problem.regression
-    links, names = robot.nominal.ravel(), regression.effect_names
-    row_model, values = problem.row_model, []
+    plain, robot = _as_stated(problem), problem.experiment.robot
+    point, links = plain.row_model.point, robot.nominal.ravel()
+    if point is None:
+        values, _ = starting_point(plain.row_model.effects, plain.experiment.effect_values, robot.joint_names)
+        if offset := weight_columns(plain.row_model):
+            values[offset] += absorbed_offset(plain.row_model.base, links)[: len(offset)]
+    else:
+        values = point.values[point.free]
+    out = [("nominal", "the nominal model as it is, nothing fitted", plain, values)]
+    if problem.regression.effect_names:
+        fitted = _at_nominal(problem)
+        factor = reduce_scaled(fitted.regression.rows, {group: 1.0 / model.std for group, model in weights.noise.items()})
+        base = fitted.row_model.base
+        rest = factor.target - factor.matrix[:, : base.rank] @ (base.matrix @ links)
+        effects = linalg.solve(factor.matrix[:, base.rank :], rest)
+        out.append(("nominal + effects", "nominal links; only effects such as offsets and friction are fitted", fitted, effects))
+    return [(text, own, _not_fitted(name, own, values, weights)) for name, text, own, values in out]
+
+
+def _as_stated(problem: Problem) -> Problem:
+    """The problem with the effects of which values are stated, linearised there; the same where all effects are columns alone."""
+    row_model, experiment = problem.row_model, problem.experiment
+    if row_model.point is None:
+        return problem
+    values = {}
+    for e in row_model.effects:
+        if given := stated_of(e, experiment.effect_values, experiment.robot.joint_names):
+            values[e.spec] = {**{q.name: 0.0 for q in e.quantities if q.linear}, **given}
+    static = "motion" if problem.subtracts else "joint"
+    options = FitOptions(problem.channel, row_model.filters, problem.fitted, list(values), static, problem.smoother.bandwidth)
+    return prepare(replace(experiment, effect_values=values), options)
+
+
+def _at_nominal(problem: Problem) -> Problem:
+    """The problem linearised at the nominal links, where it is linearised at all."""
+    row_model, links = problem.row_model, problem.experiment.robot.nominal
+    if row_model.point is None:
+        return problem
+    absorbed, start = absorbed_offset(row_model.base, links), 0
+    values = row_model.point.values.copy()
     for effect in row_model.effects:
-        stated = stated_of(effect, problem.experiment.effect_values, robot.joint_names)
-        values += [float(stated.get(key, 0.0)) for key in effect.parameters]
-    effects = np.array(row_model.of_free(values), float)
-    offset = weight_columns(problem.row_model)
-    if base.absorbed is not None and offset:  # that column also holds the weight that looks like an offset
-        effects[offset] += base.absorbed[: len(offset)] @ links
-    nominal = base.matrix @ links
-    out = [("nominal", "the nominal model as it is, nothing fitted", effects)]
-    if names:
-        factor = reduce_scaled(regression.rows, {group: 1.0 / model.std for group, model in weights.noise.items()})
-        rest = factor.target - factor.matrix[:, : base.rank] @ nominal
-        fitted = linalg.solve(factor.matrix[:, base.rank :], rest)
-        out.append(("nominal + effects", "nominal links; only effects such as offsets and friction are fitted", fitted))
-    nothing = np.zeros(base.rank + len(names), bool)
-    return [
-        (
-            text,
-            Estimate(
-                method=name, base=base, effect_names=names, effect_units=regression.effect_units,
-                solution=np.append(nominal, values), full_covariance=None, undetermined=nothing, weak=nothing,
-                interval="none", interval_reason="not fitted to these data", noise=weights.noise, rows=0,
-                condition_number=np.nan, residual_rms=np.nan, whiteness=np.nan, links=links,
-            ),
-        )
-        for name, text, values in out
-    ]  # fmt: skip
+        if effect.absorbs_weight:
+            values[start : start + len(effect.parameters)] += absorbed - row_model.point.absorbed
+        start += len(effect.parameters)
+    base = row_model.base.matrix @ links.ravel()
+    return relinearised(problem, replace(row_model.point, links=links, base=base, values=values, absorbed=absorbed))
+
+
+def _not_fitted(name: str, problem: Problem, effects: np.ndarray, weights: Weights) -> Estimate:
+    """The nominal links and these values of effects as an estimate."""
+    base, links = problem.row_model.base, problem.experiment.robot.nominal.ravel()
+    nothing = np.zeros(base.rank + len(effects), bool)
+    return Estimate(
+        method=name, base=base, effect_names=problem.regression.effect_names, effect_units=problem.regression.effect_units,
+        solution=np.append(base.matrix @ links, effects), full_covariance=None, undetermined=nothing, weak=nothing,
+        interval="none", interval_reason="not fitted to these data", noise=weights.noise, rows=0,
+        condition_number=np.nan, residual_rms=np.nan, whiteness=np.nan, links=links,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

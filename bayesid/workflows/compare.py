@@ -114,8 +114,8 @@ def compare(
             floor = noise_floor(problem)
             entries = [_predicted(e, problem, weights, floor) for e in entries]
             baselines = [
-                _predicted(Entry(e.method, text, e), problem, weights, floor, baseline=True)
-                for text, e in nominal_estimates(problem, weights)
+                _predicted(Entry(e.method, text, e), own, weights, floor, baseline=True)
+                for text, own, e in nominal_estimates(problem, weights)
             ]
         seconds["prediction"] = time.perf_counter() - started - sum(seconds.values())
     # The default estimator where it has intervals, else the first that has.

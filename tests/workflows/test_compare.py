@@ -190,8 +190,23 @@ def test_stated_values_by_names_of_joints_are_part_of_the_nominal_model(tmp_path
     table = recording(arm, None, fourier(arm, 0, 10.0), torque_std=0.1)
     motions = [Motion("only", "identification", table)]
     problem = prepare(experiment(arm, motions, effects=("viscous_friction",), effect_values=stated))
-    (_, nominal), _ = nominal_estimates(problem, weights.learn_weights(problem.regression))
+    (_, _, nominal), _ = nominal_estimates(problem, weights.learn_weights(problem.regression))
     np.testing.assert_array_equal(nominal.solution[problem.row_model.base.rank :], [4.0, 2.0])
+
+
+def test_the_nominal_model_has_what_is_stated_of_effects_that_readings_are_not_linear_in(robot):
+    """Without values there is no such friction in it, with the true ones it is perfect."""
+    path = [bayesid.fourier_trajectory(robot, duration=8.0, seed=1)]
+    true = {f"stribeck_friction@joint{k}": {"level": 5.0, "velocity": 0.3} for k in (1, 2)}
+    made = replace(bayesid.simulate(experiment(robot, []), path, effects=true, seed=1), effects=("stribeck_friction",))
+    bare = replace(made, effects=())
+    without, absent, half, stated = (
+        bayesid.compare(e, ["wls"], channel="torque").baselines[0].fitted[0]
+        for e in (bare, made, *(replace(made, effect_values=v) for v in ({"stribeck_friction": {"velocity": 0.1}}, true)))
+    )
+    assert absent.relative_error == pytest.approx(without.relative_error, rel=0.01) and without.relative_error > 0.1
+    assert half.relative_error == pytest.approx(without.relative_error, rel=0.01)
+    assert stated.relative_error < 0.1 * without.relative_error
 
 
 def test_differences_are_counted_in_sigmas_of_the_reference(compared):
