@@ -123,7 +123,9 @@ def _experiment(
         raise InputError(f"a {type(given).__name__} is given for the experiment: {_TAKES}")
     if trajectories is not None:
         several = [trajectories] if isinstance(trajectories, (str, Path, Trajectory)) else list(trajectories)
-        planned = [_planned(t, experiment.robot) for t in several]
+        made = [_planned(t, experiment.robot) for t in several]
+        called = [t.name for t in made]  # tables as `bayesid.excite` writes them have one name
+        planned = [t if called.count(t.name) == 1 else replace(t, name=f"{t.name} ({k})") for k, t in enumerate(made, 1)]
     return experiment, planned
 
 

@@ -236,6 +236,17 @@ def test_advice_names_as_many_combinations_as_it_counts(tmp_path):
     assert known.gain == 1 and named and ";" not in named
 
 
+def test_planned_motions_of_the_same_name_are_told_apart(tmp_path):
+    robot, tables = puma2(tmp_path), [tmp_path / folder / "trajectory.csv" for folder in ("one", "two")]
+    for seed, table in enumerate(tables):
+        table.parent.mkdir()
+        bayesid.write_trajectory(fourier_trajectory(robot, duration=4.0 + seed, rate=50.0, seed=seed), table)
+    found = bayesid.identifiability(robot, tables, sensor_sets=["torque"])
+    assert found.motions == pytest.approx({"trajectory (1)": 3.98, "trajectory (2)": 4.98})
+    second = bayesid.identifiability(robot, tables, sensor_sets=["torque"], motions="trajectory (2)")
+    assert list(second.motions) == ["trajectory (2)"]
+
+
 def test_rows_without_a_robot(tmp_path):
     rng = np.random.default_rng(1)
     matrix = rng.normal(size=(400, 2, 5))
