@@ -234,6 +234,20 @@ def test_a_static_run_takes_offsets_and_tilts_away():
     assert found["sensor_delay@sensor"] > 5.0
 
 
+def test_errors_of_predictions_are_shares_of_the_readings_where_friction_is_held_at_its_value(tmp_path):
+    """What is held is in the readings, though not in the target of the rows."""
+    robot = puma2(tmp_path)
+    true = {f"coulomb_friction@joint{k}": {"level": 20.0} for k in (1, 2)}
+    path = [fourier_trajectory(robot, duration=6.0, fundamental=0.2, seed=1)]
+    made = replace(simulate(Experiment("arm", robot, ()), path, effects=true, seed=1), effects=("coulomb_friction",))
+    held = {spec: {**values, "fixed": True} for spec, values in true.items()}
+    free, fixed = (
+        make_bench(replace(made, effect_values=values), estimator("wls"), FitOptions("torque", bandwidth=4.0))
+        for values in ({}, held)
+    )
+    np.testing.assert_allclose(fixed.prediction_gram, free.prediction_gram[: free.rank, : free.rank], rtol=1e-9, atol=1e-15)
+
+
 def test_torques_of_some_joints_are_varied_as_they_were_recorded(tmp_path):
     setup = recorded(puma2(tmp_path), static=False)
 

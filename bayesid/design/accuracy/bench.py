@@ -109,8 +109,8 @@ class Bench:
         """
         gram, power = 0.0, 0.0
         for segment in (s for name in self.predicted_motions for s in self.problem.segments[name]):
-            for rows in _samples(self.problem, segment):
-                x, y = rows[:, :, :-1].reshape(-1, rows.shape[2] - 1), rows[:, :, -1]
+            for rows, y in _samples(self.problem, segment):
+                x = rows[:, :, :-1].reshape(-1, rows.shape[2] - 1)
                 gram, power = gram + x.T @ x, power + float(np.sum(y**2))
         return np.asarray(gram) / max(power, 1e-300)
 
@@ -191,14 +191,17 @@ def true_solution(bench: Bench, problem: Problem) -> np.ndarray:
 
 
 def _samples(problem: Problem, segment: Segment):
-    """Unfiltered rows of a segment's samples (k, c, p + 1), piece by piece, evenly spread over a long one."""
+    """Unfiltered rows of a segment's samples (k, c, p + 1) and what was measured (k, c), piece by piece, spread over a long one.
+
+    Where the model is linearised, the target of the rows is not what was measured.
+    """
     a, b = segment.inner(0.0 if segment.poses else problem.row_model.margin)
     pieces = max((b - a) // _CHUNK, 1)
     every = max(pieces * _CHUNK // _MOST, 1)
     for first in range(a, b, _CHUNK * every):
         last = min(first + _CHUNK, b)
         if last - first > 1:
-            yield problem.row_model.samples(segment, first, last)
+            yield problem.row_model.samples(segment, first, last), segment.measured(first, last)
 
 
 def _sample_noise(problem: Problem, estimate: Estimate) -> NoiseModel:
