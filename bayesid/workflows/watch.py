@@ -138,7 +138,7 @@ def _compared(
     except BayesidError as error:
         return Watched(name, None, str(error))
     try:
-        left = learn.left(after)
+        left = tuple(p for p in learn.left(after) if motions is None or p.motion in motions)
     except BayesidError:  # too short for rows of their own
         left = ()
     return Watched(name, compared, left=left)

@@ -241,10 +241,8 @@ def test_errors_of_predictions_are_shares_of_the_readings_where_friction_is_held
     path = [fourier_trajectory(robot, duration=6.0, fundamental=0.2, seed=1)]
     made = replace(simulate(Experiment("arm", robot, ()), path, effects=true, seed=1), effects=("coulomb_friction",))
     held = {spec: {**values, "fixed": True} for spec, values in true.items()}
-    free, fixed = (
-        make_bench(replace(made, effect_values=values), estimator("wls"), FitOptions("torque", bandwidth=4.0))
-        for values in ({}, held)
-    )
+    options = FitOptions("torque", bandwidth=4.0)
+    free, fixed = (make_bench(replace(made, effect_values=v), estimator("wls"), options) for v in ({}, held))
     np.testing.assert_allclose(fixed.prediction_gram, free.prediction_gram[: free.rank, : free.rank], rtol=1e-9, atol=1e-15)
 
 

@@ -47,6 +47,13 @@ def test_the_first_recording_with_the_tool_is_told(watched, series, tmp_path):
     assert "payload@joint2 m" in str(watched) and "<table" in watched._repr_html_()
 
 
+def test_what_is_left_is_that_of_the_motions_that_are_compared(series):
+    one = series[1].motions[0]
+    other = replace(one, name="other", table=replace(one.table, wrench=2.0 * one.table.wrench))
+    found = bayesid.watch(series[0], replace(series[1], motions=(one, other)), motions=one.name)
+    assert [p.motion for p in found.recordings[0].left] == [one.name] and found.recordings[0].times_noise < 1.2
+
+
 def test_a_change_without_a_name_is_told(watched):
     still, _, changed, _ = watched.recordings
     unknown = replace(changed, comparison=replace(changed.comparison, verdict="unknown", changes=()))
