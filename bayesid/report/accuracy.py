@@ -300,10 +300,18 @@ def accuracy_report(result: Accuracy) -> str:
     ]
     readings = channel_text(bench.problem.channel, bench.problem.fitted)
     kicker = f"Accuracy of {bench.rank} base parameters by {bench.method.name}, from the {readings}"
-    fine = "No warnings: formula and simulation agree, and the model is complete as far as its residuals tell."
+    fine = [
+        *["formula and simulation agree"] * (sweeps is not None and sweeps.formula is not None),
+        *["the model is complete as far as its residuals tell"] * (bench.estimate.details.model_complete is True),
+    ]
     name = bench.experiment.name
-    return page(name, kicker, [warnings(result.warnings, fine), lead(_lead(result)), cards(_cards(result))], sections,
+    return page(name, kicker, [warnings(result.warnings, _unwarned(fine)), lead(_lead(result)), cards(_cards(result))], sections,
                 f"{name}: accuracy")  # fmt: skip
+
+
+def _unwarned(fine: Sequence[str]) -> str:
+    """What stands in the place of warnings, with the reasons for that which there are."""
+    return f"No warnings{': ' * bool(fine)}{', and '.join(fine)}."
 
 
 def _lead(result: Accuracy) -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import bayesid
 from bayesid.cli import main
+from bayesid.report.accuracy import accuracy_report
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 SENSORS = '[[sensor]]\nname = "platform"\nkind = "base"\nnoise = [1.0, 0.1]\nrange = [50, 20]\n'
@@ -114,3 +116,9 @@ def test_nominal_links_may_be_the_truth(folder):
     base = result.bench.problem.row_model.base
     np.testing.assert_allclose(result.bench.truth[: base.rank], base.matrix @ robot.nominal.ravel())
     assert result.certificate is None and result.to_dict()["truth"] == "nominal"
+
+
+def test_a_page_without_warnings_claims_no_more_than_was_done(result):
+    quiet = replace(result, warnings=())
+    assert "formula and simulation agree, and the model is complete" in accuracy_report(quiet)
+    assert "No warnings: the model is complete" in accuracy_report(replace(quiet, sweeps=None))
