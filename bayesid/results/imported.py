@@ -89,7 +89,8 @@ class Imported:
             if motion.name in (imported.name, f"{imported.name}-end"):
                 table = motion.table
                 rate = f" at {number(1.0 / table.step, 4)} Hz" if table.step else ""
-                since = f", from {date(recording.start)}" if recording.start is not None and motion.name == imported.name else ""
+                start = date(recording.start) if motion.name == imported.name else None
+                since = f", from {start}" if start is not None else ""
                 lines.append(
                     f"  {motion.role} '{motion.name}' ({', '.join(imported.files)}): {len(table)} rows over "
                     f"{number(table.duration, 4)} s{rate}{since}"
@@ -167,7 +168,7 @@ def _document(imported: ImportedRecording) -> dict[str, Any]:
     recording = imported.recording
     return {
         "motion": imported.name, "files": list(imported.files),
-        "start": None if recording.start is None else date(recording.start), "rows_of": recording.joined.base.name,
+        "start": date(recording.start), "rows_of": recording.joined.base.name,
         "signals": [_signal(s) for s in recording.signals], "done": list(recording.done),
         "delays": [
             {"late": d.late, "against": d.against, "value_s": d.value, "std_s": d.std, "method": d.method}

@@ -171,6 +171,10 @@ def read_recording(
             f"({argument('hold_out', 0.3)}), to test the estimate"
         )
     _check_readings(motions, placed, made[0][0])
+    notes += [
+        f"{motion.name}: no wrench of all six axes is found although a sensor is stated: torques alone are used"
+        for motion in motions if motion.table.wrench is None and placed is not None
+    ]  # fmt: skip
     try:
         experiment = Experiment(
             name=_names([name])[0], robot=robot, motions=tuple(motions), sensor=placed, locked=stand, warnings=tuple(doubts),

@@ -58,8 +58,9 @@ def topic_clock(stream: Stream, wanted: str | None, source: str) -> RowTimes:
     usable = header is not None and len(header) > 1 and len(np.unique(header)) > 0.5 * len(header) and bool((header > 0).all())
     kind, text, times, late, notes = "log", "times of the log", log, None, ()
     if header is not None and usable:
-        low, middle, high = np.quantile((log - header) / 1e9, [0.16, 0.5, 0.84])
-        late = float(middle), float(0.5 * (high - low))
+        if header[0] > _DATES[0] * 1e9:  # a simulation's clock begins at zero, and is no later or earlier than the log
+            low, middle, high = np.quantile((log - header) / 1e9, [0.16, 0.5, 0.84])
+            late = float(middle), float(0.5 * (high - low))
         if wanted != "log":
             kind, text, times = "header", "stamps of headers", header
     else:
@@ -108,8 +109,10 @@ def table_clock(stream: Stream, column: str, unit: str | None, source: str, pose
     return RowTimes("column", f"{name} in {_WORDS[unit]} since 1970", times, start * (10**9 // per), column=column)
 
 
-def date(ns: int) -> str:
-    """An instant as ISO 8601 to the millisecond."""
+def date(ns: int | None) -> str | None:
+    """An instant [ns since 1970] as ISO 8601 to the millisecond; None where it is none of a computer's date."""
+    if ns is None or ns < _DATES[0] * 1e9:
+        return None
     return datetime.fromtimestamp(ns / 1e9, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 

@@ -172,7 +172,7 @@ class _Finder:
     def by_number(self, quantity: str, joints: Sequence[str], must: bool) -> dict[int, tuple[Stream, str]]:
         """Columns of a word of the quantity with a number, from zero or from one, in the order of the joints.
 
-        ``must``: whether another count than that of the joints is refused.
+        ``must``: whether another count than that of the joints is refused. Torques may be of some joints, under our own names.
         """
         groups: dict[tuple[int, str], dict[int, tuple[Stream, str]]] = defaultdict(dict)
         for stream, column in self.places:
@@ -193,7 +193,11 @@ class _Finder:
             remedy = f"name those of all these columns, in their order ({argument('joints')}); {argument('locked')} leaves out "
             problem = f"{len(columns)} positions {theirs} but {len(joints)} joints {ours}"
             raise InputError(problem, file=self.source, remedy=f"{remedy}what is not to be used")
-        return {k: place for k, (_, place) in enumerate(sorted(fitting[0].items()))} if fitting else {}
+        if fitting:
+            return {k: place for k, (_, place) in enumerate(sorted(fitting[0].items()))}
+        own = [f"tau{k + 1}" for k in range(len(joints))] if quantity == "tau" else []
+        some = [g for g in groups.values() if all(without_unit(column) in own for _, column in g.values())]
+        return {number - 1: place for number, place in some[0].items()} if len(some) == 1 else {}
 
     def stated_wrench(self) -> dict[str, tuple[Stream, str]]:
         """Columns that the user names for the wrench."""

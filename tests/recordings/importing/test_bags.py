@@ -49,6 +49,18 @@ def test_a_bag_is_read_as_it_was_written(kind, known, tmp_path):
     assert "2023-11-14T22:13:20.000Z" in text and "at 125.0 Hz" in text
 
 
+def test_stamps_of_a_simulation_are_no_dates(known, tmp_path):
+    """They count from its start: nothing was recorded in 1970, and no message was logged fifty years late."""
+    with Bag(tmp_path / "run", "mcap") as bag:
+        for k, ns in enumerate(known.ns):
+            bag.joints(ns + 10**10, JOINTS, known.q[k], known.v[k], known.tau[k], log=START + ns)
+    imported = bayesid.read_recording(tmp_path / "run", known.urdf)
+    _is(imported.experiment.motions[0].table, known)
+    (told,) = imported.to_dict()["recordings"]
+    assert told["start"] is None and all(signal["log_late_s"] is None for signal in told["signals"])
+    assert "1970" not in str(imported) and "later" not in str(imported)
+
+
 def test_the_folder_written_is_taken_by_check_and_identify(known, tmp_path):
     other = make_known(tmp_path, seed=2)
     first, later = write_bag(tmp_path / "first", known, "mcap"), write_bag(tmp_path / "later", other, "sqlite3")

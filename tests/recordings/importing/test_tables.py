@@ -341,6 +341,26 @@ def test_what_is_wrong_with_what_is_stated_is_said_in_one_line(case, known, tmp_
     assert said in str(error.value) and "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("there", [0, 1])
+def test_torques_of_some_joints_under_our_own_names_are_read_as_a_folder_reads_them(there, known, tmp_path):
+    frame = pd.DataFrame({"t": known.t, "q1": known.q[:, 0], "q2": known.q[:, 1], f"tau{there + 1}": known.tau[:, there]})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    table = only(tmp_path / "log.csv", known, joints=JOINTS)
+    assert table.torque_joints == (there,)
+    np.testing.assert_array_equal(table.torques[:, there], known.tau[:, there])
+    frame.rename(columns={f"tau{there + 1}": "tau_1"}).to_csv(tmp_path / "log.csv", index=False)  # the first, or the second
+    with pytest.raises(InputError, match="no torques and no wrench are found"):
+        only(tmp_path / "log.csv", known, joints=JOINTS)
+
+
+def test_a_wrench_that_is_not_whole_is_missed_where_a_sensor_is_stated(known, tmp_path):
+    frame = by_joint(known, time=known.t)
+    frame[["fx", "fy", "fz", "mx", "my"]] = known.wrench[:, :5]
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, sensor="wrist_ft")
+    assert "log: no wrench of all six axes is found although a sensor is stated: torques alone are used" in imported.done
+
+
 def test_several_columns_are_named_with_commas_between_as_on_the_command_line(known, tmp_path):
     """Names of columns are listed, or numbered as a refusal lists them: ``q_{0}``, of a wrench, too."""
     frame = pd.DataFrame({"at": known.t, "a": known.q[:, 0], "b, turned": known.q[:, 1], "tau_0": known.tau[:, 0]})
