@@ -8,12 +8,12 @@ import numpy as np
 
 from bayesid.diagnosis.candidates import Library
 from bayesid.effects import Effect
+from bayesid.regression.linalg import orthonormal_basis
 
 #: Nearer to one than this a share is rounding: the two leave the same trace.
 _SAME = 1.0 - 1e-8
 #: An effect that is seen only from so many times its usual size is not seen; rounding leaves as much.
 _ABSURD = 100.0
-_THIN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def visible(library: Library) -> tuple[Visible, ...]:
     traces = np.stack([b.rows @ b.about.to_amplitudes(np.array(b.effect.typical(robot), float)) for b in library.blocks], axis=1)
     lengths = np.linalg.norm(traces, axis=0)
     traces = traces / np.where(lengths > 0, lengths, 1.0)
-    bases = [_basis(b.rows) for b in library.blocks]
+    bases = [orthonormal_basis(b.rows, 1e-7, 1e-6) for b in library.blocks]
     whole = np.stack([np.sum((q.T @ traces) ** 2, axis=0) for q in bases])  # (explaining, explained)
     specs = [b.effect.spec for b in library.blocks]
     out: dict[str, Visible] = {}
@@ -64,13 +64,3 @@ def visible(library: Library) -> tuple[Visible, ...]:
         most_collinear = None if nearest is None else library.blocks[nearest].effect
         out[specs[k]] = Visible(block.effect, by, size, seen, most_collinear, share, named)
     return tuple(out.values())
-
-
-def _basis(rows: np.ndarray) -> np.ndarray:
-    """An orthonormal basis of columns (rows, at most k), without directions that are not there."""
-    length = np.linalg.norm(rows, axis=0)
-    alive = length > 1e-7 * max(length.max(initial=0.0), 1e-300)
-    if not alive.any():
-        return rows[:, :0]
-    u, s, _ = np.linalg.svd(rows[:, alive] / length[alive], full_matrices=False)
-    return u[:, s > _THIN * s[0]]

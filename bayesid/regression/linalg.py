@@ -47,6 +47,19 @@ def determined_inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     return np.where(hidden[:, None], 0.0, pseudo_inverse(matrix, UNSEEN))
 
 
+def orthonormal_basis(columns: np.ndarray, shortest: float, thinnest: float) -> np.ndarray:
+    """An orthonormal basis of columns (rows, at most k), without directions that are not there.
+
+    Columns below a share of the longest, and singular values below a share of the largest, count as none.
+    """
+    length = np.linalg.norm(columns, axis=0)
+    alive = length > shortest * max(float(length.max(initial=0.0)), 1e-300)
+    if not alive.any():
+        return columns[:, :0]
+    u, s, _ = np.linalg.svd(columns[:, alive] / length[alive], full_matrices=False)
+    return u[:, s > thinnest * s[0]]
+
+
 def undetermined(matrix: np.ndarray, tolerance: float = UNSEEN) -> np.ndarray:
     """Columns of a (weighted) factor with a part that the rows do not determine (p,)."""
     length = np.linalg.norm(matrix, axis=0)

@@ -23,10 +23,13 @@ from bayesid.effects import Effect, MotionSegment, Term
 from bayesid.effects.exact import columns, readings
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
+from bayesid.regression.linalg import orthonormal_basis
 from bayesid.robot.prior import assumed_links
 
 #: Samples of a period; parts of a trace that count as nothing; shares up to which two traces count as different.
 _SAMPLES, _NOTHING, _SAME = 300, 1e-5, 1.0 - 1e-6
+#: Shares of the longest column, and of the largest singular value, that count as none, see `orthonormal_basis`.
+_NONE = (1e-9, 1e-8)
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,7 @@ def diagnosability(experiment: Experiment, information: Information, series: Fou
     segment = MotionSegment(times, *series.at(times), cell=step)
     weight = np.sqrt(recorded / _SAMPLES) / information.std
     nothing = readings(robot, channels, segment, links, gravity=gravity)
-    nuisance = _orthonormal(information.explaining(series, step, _SAMPLES))
+    nuisance = orthonormal_basis(information.explaining(series, step, _SAMPLES), *_NONE)
     found: list[tuple[Effect, np.ndarray, np.ndarray]] = []
     hidden = []
     for effect in _library(experiment, information):
@@ -90,7 +93,7 @@ def diagnosability(experiment: Experiment, information: Information, series: Fou
             hidden.append(effect.spec)
             continue
         own = (parts * weight[:, None]).reshape(len(trace), -1)
-        found.append((effect, rest, _orthonormal(own - nuisance @ (nuisance.T @ own))))
+        found.append((effect, rest, orthonormal_basis(own - nuisance @ (nuisance.T @ own), *_NONE)))
     traces = np.array([rest / np.linalg.norm(rest) for _, rest, _ in found]).reshape(len(found), -1)
     shares = np.array([np.sum((basis.T @ traces.T) ** 2, axis=0) for *_, basis in found]).reshape(len(found), len(found))
     np.fill_diagonal(shares, -1.0)
@@ -120,13 +123,3 @@ def _library(experiment: Experiment, information: Information) -> list[Effect]:
         gone = [] if information.sensor_set.gravity else [e for e in found if e.removed_by_static_run]
         out += [e for e in found if e.spec not in own and e not in gone and any(e.typical(experiment.robot))]
     return out
-
-
-def _orthonormal(matrix: np.ndarray) -> np.ndarray:
-    """An orthonormal basis of columns (rows, at most k), without directions that are not there."""
-    length = np.linalg.norm(matrix, axis=0)
-    alive = length > 1e-9 * max(float(length.max(initial=0.0)), 1e-300)
-    if not alive.any():
-        return matrix[:, :0]
-    u, s, _ = np.linalg.svd(matrix[:, alive] / length[alive], full_matrices=False)
-    return u[:, s > 1e-8 * s[0]]
