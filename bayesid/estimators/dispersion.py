@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from bayesid.regression.linalg import or_one
+from bayesid.regression.linalg import or_one, standard_deviations
 
 #: Parts that a recording is cut into. Fewer leave few degrees of freedom; in more of them little moves.
 PARTS = 8
@@ -71,7 +71,7 @@ def dispersions(whole: Rows, solution: np.ndarray, channels: Sequence[Rows] = ()
     if len(whole.grams) < 2:
         return nothing
     gram = np.sum([g[:p, :p] for g in whole.grams], axis=0)
-    length = or_one(np.sqrt(np.maximum(np.diag(gram), 0.0)))
+    length = or_one(standard_deviations(gram))
     values, vectors = np.linalg.eigh(gram / np.outer(length, length))
     keep = values > _SMALLEST * values.max(initial=0.0)
     if not keep.any():

@@ -328,9 +328,8 @@ class PosteriorModel:
         q = self.quadratic
         x = self.entries @ (q.centre + q.root @ rng.normal(size=len(q.centre)))
         for k in range(self.bodies):
-            unit = matrices(np.zeros(10)) + np.eye(4)
             noise = 0.2 * rng.normal(size=(4, 4))
-            x[10 * k : 10 * k + 10] = (unit + np.clip(0.5 * (noise + noise.T), -0.2, 0.2))[ROW, COLUMN]
+            x[10 * k : 10 * k + 10] = (np.eye(4) + np.clip(0.5 * (noise + noise.T), -0.2, 0.2))[ROW, COLUMN]
         x[self.bounded] = np.maximum(x[self.bounded], 0.1 * np.abs(x[self.bounded]) + 1e-6)
         return x
 
@@ -502,12 +501,8 @@ def to_log_cholesky(entries: np.ndarray) -> np.ndarray:
 def pull_back(theta: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """Gradient in theta (..., 10) of a function whose gradient in the entries of M is given, Jacobian's included."""
     u = triangular(theta)
-    g = np.zeros((*gradient.shape[:-1], 4, 4))
     # An off-diagonal entry stands for two places of M.
-    half = np.where(ROW == COLUMN, 1.0, 0.5) * gradient
-    g[..., ROW, COLUMN] = half
-    g[..., COLUMN, ROW] = half
-    slope = 2.0 * g @ u
+    slope = 2.0 * matrices(np.where(ROW == COLUMN, 1.0, 0.5) * gradient) @ u
     out = np.empty_like(theta)
     out[..., :4] = slope[..., _DIAGONAL, _DIAGONAL] * u[..., _DIAGONAL, _DIAGONAL] + _POWERS
     out[..., 4:] = slope[(..., *_ABOVE)]
