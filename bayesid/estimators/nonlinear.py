@@ -107,8 +107,7 @@ def _left(problem: Problem, held: slice) -> float:
 def _surroundings(problem: Problem) -> Surroundings:
     row_model, experiment = problem.row_model, problem.experiment
     robot, sensor = row_model.robot, experiment.sensor
-    segments = [s for name in problem.fitted for s in problem.segments[name]]
-    motions = [row_model.state(s, 0, len(s.times)) for s in segments]
+    motions = [row_model.state(s, 0, len(s.times)) for s in problem.fitted_segments]
     return surroundings_of(
         robot, motions, robot.nominal.ravel(), problem.channel, sensor is not None and sensor.joint is None,
         static_run=problem.static != "none", links_known=experiment.inertia_rel_std is not None,

@@ -151,6 +151,22 @@ class Problem:
         """How samples become rows."""
         return self.rows.row_model
 
+    @property
+    def fitted_segments(self) -> list[Segment]:
+        """Segments of the motions that are fitted."""
+        return [segment for name in self.fitted for segment in self.segments[name]]
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether poses at rest are all that is fitted."""
+        return all(segment.poses for segment in self.fitted_segments)
+
+    @property
+    def judges(self) -> list[Motion]:
+        """Motions that a fit is judged by: those of role ``validation`` with these readings that are not fitted."""
+        others = [m for m in self.experiment.motions if m.name in self.segments and m.name not in self.fitted]
+        return [motion for motion in others if motion.role == "validation"]
+
 
 def prepare(experiment: Experiment, options: FitOptions | None = None) -> Problem:
     """Make an experiment ready: choose motions, smooth trajectories, find base parameters, lay out rows.

@@ -70,7 +70,7 @@ def predict_readings(
             raise InputError(f"{name} has shape {np.shape(x)}: give (N, {n}), one column a joint, for q, v and a alike")
         if not np.isfinite(x).all():
             raise InputError(f"{name} is not finite in row {int(np.argwhere(~np.isfinite(x))[0][0])}; leave that sample out")
-    gravity = any(s.gravity for name in problem.fitted for s in problem.segments[name])
+    gravity = any(s.gravity for s in problem.fitted_segments)
     if times is None:
         _require_timeless(problem, states, gravity)
         clock = np.arange(count, dtype=float)

@@ -430,9 +430,8 @@ def _planned(given: Trajectory | str | Path | None, robot: Robot) -> Trajectory 
 def _recorded(problem: Problem) -> list[Trajectory]:
     """Motions of the experiment that were not fitted, or one that was."""
     moving = [m for m in problem.experiment.motions if m.name in problem.segments and m.kind != "poses"]
-    others = [m for m in moving if m.name not in problem.fitted and m.role == "validation"]
     out = []
-    for motion in others[:_SHOWN] or moving[:1]:
+    for motion in [m for m in problem.judges if m.kind != "poses"][:_SHOWN] or moving[:1]:
         if parts := [s for s in _states(problem, [motion.name]) if len(s.times) > 1]:  # as far as the trajectory is sound
             columns = ("times", "positions", "velocities", "accelerations")
             times, q, v, a = (np.concatenate([getattr(s, name) for s in parts]) for name in columns)

@@ -95,10 +95,7 @@ def identify(
         clock("regressor")
         problem = prepare(experiment, options)
         method = estimator(default_method(problem)) if method is None else method
-        unfitted = [
-            m for m in experiment.motions
-            if m.name in problem.segments and m.name not in problem.fitted and m.role == "validation"
-        ]  # fmt: skip
+        unfitted = problem.judges
         unseen, estimating = [motion.name for motion in unfitted], partial(clock, "estimate")  # rows are timed apart
         if problem.row_model.point is None:
             # What needs the motions' rows alone is done beside the fit: while its own rows are made, another core has time.
@@ -161,12 +158,12 @@ def _beside(problem: Problem, method: Estimator, unseen: list[str]) -> tuple[Alo
 def _not_shown(problem: Problem, estimate: Estimate) -> NotShown:
     """What these readings do not show, and whether that is for the motions, the static run or an effect in the model."""
     row_model = problem.row_model
-    base, fitted = row_model.base, [s for name in problem.fitted for s in problem.segments[name]]
-    at_rest, rich = all(s.poses for s in fitted), base
-    if all(s.poses or not s.gravity for s in fitted):  # otherwise the base parameters are those of a rich motion already
+    base = rich = row_model.base
+    # Otherwise the base parameters are those of a rich motion already.
+    if all(s.poses or not s.gravity for s in problem.fitted_segments):
         rich = structural_base(row_model.robot, row_model.channels, offset=base.absorbed is not None)
     hidden = unseen(rich, base)
-    if hidden and at_rest:
+    if hidden and problem.at_rest:
         return NotShown(motions=hidden, invisible=tuple(rich.invisible))
     with_offset = structural_base(row_model.robot, row_model.channels, offset=True) if hidden else base
     gone = unseen(rich, with_offset)
@@ -174,7 +171,7 @@ def _not_shown(problem: Problem, estimate: Estimate) -> NotShown:
     weak = [label for label, kind in zip(base.labels, estimate.classes, strict=True) if kind in ("weak", "prior")]
     effects = _lost_to_effects(problem, estimate)
     motions = tuple(label for label in weak if label not in effects)
-    return NotShown(motions, hidden, along, effects, tuple((rich if at_rest else base).invisible))
+    return NotShown(motions, hidden, along, effects, tuple((rich if problem.at_rest else base).invisible))
 
 
 def _lost_to_effects(problem: Problem, estimate: Estimate) -> dict[str, tuple[str, ...]]:
@@ -239,8 +236,8 @@ def _warnings(result: Identification, wrong: Sequence[str], of_links: Sequence[s
     problem, estimate = result.problem, result.estimate
     out = of_fit(problem, estimate, result.prior_check, wrong, result.validation)
     smoother = problem.smoother
-    moving = not all(s.poses for name in problem.fitted for s in problem.segments[name])  # poses at rest have no bandwidth
-    if moving and smoother.at_end and smoother.bandwidth >= 0.999 * smoother.automatic and smoother.reason != "as given":
+    highest = smoother.at_end and smoother.bandwidth >= 0.999 * smoother.automatic
+    if highest and not problem.at_rest and smoother.reason != "as given":  # poses at rest have no bandwidth
         half = float(f"{0.5 * smoother.bandwidth:.2g}")
         out.append(
             f"The bandwidth of the motion is {smoother.bandwidth:.3g} Hz, the end of the range searched: the positions hold more "

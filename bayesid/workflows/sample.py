@@ -210,8 +210,7 @@ def _with_predictions(
     if problem is None:
         extra = predictive_groups(posterior, regression.rows.blocks(), regression.rows.pilot(), (), regression.channel_names)
         return replace(posterior, extra=extra)
-    others = [m for m in problem.experiment.motions if m.name in problem.segments and m.name not in problem.fitted]
-    judges = [m for m in others if m.role == "validation"]
+    judges = problem.judges
     unseen = (problem.segments[m.name] for m in judges)
     blocks = (b for s in unseen for b in make_blocks(problem.row_model, [part for part in s if not part.poses] or s))
     extra = predictive_groups(posterior, regression.rows.blocks(), regression.rows.pilot(), blocks, regression.channel_names)

@@ -102,10 +102,8 @@ def _links_with(problem: Problem, method: Estimator, options: FitOptions, comple
 
 def _errors(problem: Problem, *solutions: np.ndarray) -> dict[str, tuple[float, float]]:
     """Error norm over signal norm of all channels' rows, motion by motion, for two solutions."""
-    readable = [m for m in problem.experiment.motions if m.name in problem.segments]
-    unfitted = [m.name for m in readable if m.name not in problem.fitted and m.role == "validation"]
     out = {}
-    for name in unfitted or problem.fitted:
+    for name in [m.name for m in problem.judges] or problem.fitted:
         power, size = np.zeros(len(solutions)), 0.0
         for block in problem.rows.blocks([name]):
             power += [np.sum(block.residual(s) ** 2) for s in solutions]

@@ -98,8 +98,7 @@ class Bench:
     @cached_property
     def predicted_motions(self) -> tuple[str, ...]:
         """Motions that predictions are judged on: those that were not fitted, or the fitted ones where there is no other."""
-        others = [m.name for m in self.experiment.motions if m.role == "validation" and m.name in self.problem.segments]
-        return tuple(name for name in others if name not in self.problem.fitted) or self.problem.fitted
+        return tuple(motion.name for motion in self.problem.judges) or self.problem.fitted
 
     @cached_property
     def prediction_gram(self) -> np.ndarray:
@@ -132,7 +131,7 @@ def make_bench(
     if problem is None or estimate is None:
         problem, estimate = solve(prepare(experiment, options), method)
     row_model, robot = problem.row_model, experiment.robot
-    if all(s.poses for name in problem.fitted for s in problem.segments[name]):
+    if problem.at_rest:
         raise InputError(f"accuracy: only poses at rest are fitted, and it varies a motion; name one with {argument('motions')}")
     rank = row_model.base.rank
     if nominal:
@@ -207,7 +206,7 @@ def _samples(problem: Problem, segment: Segment):
 def _sample_noise(problem: Problem, estimate: Estimate) -> NoiseModel:
     """Noise of single samples of one reading, from what the estimate leaves of the fitted motions."""
     left = []
-    for segment in (s for name in problem.fitted for s in problem.segments[name] if not s.poses):
+    for segment in (s for s in problem.fitted_segments if not s.poses):
         a, b = segment.inner(problem.row_model.margin)
         b = min(b, a + _MOST)
         if b - a > 1:

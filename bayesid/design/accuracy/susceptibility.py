@@ -63,8 +63,8 @@ def susceptibility(
     """Bias of the user's estimate, with standard deviations (r,), for each effect, default `missing_effects`, largest first."""
     problem = bench.problem
     terms = missing_effects(bench.experiment, problem.row_model) if terms is None else terms
-    fitted = [s for name in problem.fitted for s in problem.segments[name]]
-    motions, weights = [(s, bench.smoothed(s, problem.row_model)) for s in fitted], learn_weights(problem.regression)
+    motions = [(s, bench.smoothed(s, problem.row_model)) for s in problem.fitted_segments]
+    weights = learn_weights(problem.regression)
     start = _fitted(bench, [_read(bench, segment, states, ()) for segment, states in motions], weights)
 
     def off(term: Term) -> np.ndarray | None:

@@ -187,8 +187,7 @@ def held_out_scale(
     though not below that of noise alone, as far as a ``floor`` tells it. ``dispersion`` is the factor that the covariance has
     for what the model lacks.
     """
-    judges = [m.name for m in problem.experiment.motions if m.role == "validation" and m.name not in problem.fitted]
-    blocks = [b for b in problem.rows.blocks([n for n in judges if n in problem.segments]) if b.group == "trajectory"]
+    blocks = [b for b in problem.rows.blocks([m.name for m in problem.judges]) if b.group == "trajectory"]
     if dispersion <= 1.0 or not blocks:
         return 1.0
     left = np.mean(np.concatenate([b.residual(mean) for b in blocks]) ** 2, axis=0)

@@ -206,8 +206,7 @@ def _is_payload(change: Hypothesis, where: str) -> bool:
 
 def degrees_of_freedom(problem: Problem, estimate: Estimate) -> float:
     """Degrees of freedom of a channel's noise, where a few poses are all that it is known from."""
-    fitted = [s for name in problem.fitted for s in problem.segments[name]]
-    if not all(s.poses for s in fitted):
+    if not problem.at_rest:
         return inf
     channels = len(problem.row_model.channels.names)
     return max((estimate.rows - len(estimate.solution)) / channels, 1.0)
@@ -325,7 +324,7 @@ def _normal_inverse(x: np.ndarray) -> np.ndarray:
 def has_valley(problem: Problem) -> bool:
     """Whether the model has a load on poses whose shape is estimated, so that it may trade weight for its own."""
     point = problem.row_model.point
-    if point is None or not all(s.poses for name in problem.fitted for s in problem.segments[name]):
+    if point is None or not problem.at_rest:
         return False
     return any(isinstance(e, LoadEffect) and len(e.shape) > 1 for e in problem.row_model.effects) and bool(point.free.all())
 

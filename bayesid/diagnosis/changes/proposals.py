@@ -94,7 +94,7 @@ def make_proposals(problem: Problem, links: np.ndarray) -> tuple[ChangeProposal,
     """
     model, experiment = problem.row_model, problem.experiment
     robot = experiment.robot
-    motions = _motions(model, [s for name in problem.fitted for s in problem.segments[name]])
+    motions = _motions(model, problem.fitted_segments)
     around = surroundings_of(
         robot, motions, links, problem.channel, experiment.sensor is not None and experiment.sensor.joint is None,
         static_run=problem.static != "none", links_known=True,

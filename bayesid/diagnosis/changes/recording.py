@@ -62,11 +62,10 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
             raise InputError(
                 f"{named}: has {listed(other)}, but {after} has {listed(mine)}; leave out of both what one of them lacks"
             )
-        if _at_rest(problem) != _at_rest(before):
+        if problem.at_rest != before.at_rest:
             raise InputError(f"{named}: only one of the two is of poses at rest; compare poses with poses, motions with motions")
         raise InputError(f"{named}: only one of the two has static readings; leave them out of both")
-    segments = [s for name in problem.fitted for s in problem.segments[name]]
-    blocks = list(make_blocks(with_proposals(model, reference.point, reference.proposals), segments))
+    blocks = list(make_blocks(with_proposals(model, reference.point, reference.proposals), problem.fitted_segments))
     rows = np.concatenate([block.rows for block in blocks])
     count, p = rows.shape[1], len(reference.solution)
     own = rows[:, :, -1] - rows[:, :, :p] @ estimate.solution
@@ -80,7 +79,7 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
         np.repeat(np.concatenate([block.times for block in blocks]), count),
         np.repeat(np.concatenate([np.full(len(block.rows), block.motion) for block in blocks]), count),
         np.tile(np.arange(count), len(rows)), (own / scale).ravel(), scale,
-        max(model.step / float(np.median(np.concatenate([np.diff(s.times) for s in segments]))), 1.0),
+        max(model.step / float(np.median(np.concatenate([np.diff(s.times) for s in problem.fitted_segments]))), 1.0),
         dispersions(Rows(grams), estimate.solution)[0].factor,
     )  # fmt: skip
 
@@ -99,11 +98,6 @@ def _prepared(reference: Reference, experiment: Experiment, motions: Sequence[st
         library=before.experiment.library, gear_ratio=before.experiment.gear_ratio,
     )  # fmt: skip
     return prepare(known, FitOptions(before.channel, effects=before.effects, motions=motions, bandwidth=bandwidth))
-
-
-def _at_rest(problem: Problem) -> bool:
-    """Whether poses at rest are all that is fitted."""
-    return all(s.poses for name in problem.fitted for s in problem.segments[name])
 
 
 def _body_columns(problem: Problem) -> np.ndarray:

@@ -61,7 +61,7 @@ class ReferenceAmplitudes:
         model = with_proposals(problem.row_model, point, proposals)
         p = len(solution)
         gram, middle = np.zeros((2, model.base.rank + model.extra_columns + 1, model.base.rank + model.extra_columns + 1))
-        for block in make_blocks(model, [s for name in problem.fitted for s in problem.segments[name]]):
+        for block in make_blocks(model, problem.fitted_segments):
             noise = weights.noise[block.group]
             rows = block.rows.copy()
             rows[:, :, -1] -= rows[:, :, :p] @ solution
