@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from functools import cached_property
 from hashlib import blake2b
+from heapq import heappop, heappush
 from pathlib import Path
 from typing import Any
 
@@ -279,7 +280,8 @@ def load_robot(
     urdf
         Path of a URDF, a xacro file (``"FILE name:=value"`` with arguments) or an MJCF file, or ``"robot_descriptions:NAME"``.
     joints
-        Moving joints in the order of q1 ... qn; default: every moving joint that is not locked, in the URDF's order.
+        Moving joints in the order of q1 ... qn; default: every moving joint that is not locked, in the file's order, each after
+        the one that it hangs on.
     locked
         Position [rad or m] of every other moving joint; default 0.
     gravity
@@ -296,7 +298,7 @@ def load_robot(
     file = urdf if isinstance(urdf, UrdfFile) else read_urdf(urdf)
     urdf, model = file.path, _read(file)
     locked = dict(locked or {})
-    moving = [str(name) for name in model.names[1:]]
+    moving = _listed(file, model)
     joints = [name for name in moving if name not in locked] if joints is None else list(joints)
     for name in [*joints, *locked]:
         if name not in moving:
@@ -373,6 +375,21 @@ def load_robot(
         name=str(model.name), description=file, joint_names=tuple(joints), body_names=names, sensor_parent=sensor.parent,
         locked={name: float(locked[name]) for name in sorted(locked) if locked[name]}, sensor_joint=sensor_joint, **arrays,
     )  # fmt: skip
+
+
+def _listed(file: UrdfFile, model) -> list[str]:
+    """Moving joints as the file lists them, but each after the one before it in its chain: Pinocchio sorts branches by name."""
+    place = {name: k for k, name in enumerate(file.joints)}
+    below: dict[int, list[tuple[int, int]]] = {}
+    for j in range(1, model.njoints):
+        below.setdefault(int(model.parents[j]), []).append((place[str(model.names[j])], j))
+    ready, out = sorted(below.get(0, [])), []
+    while ready:
+        _, j = heappop(ready)
+        out.append(str(model.names[j]))
+        for child in below.get(j, ()):
+            heappush(ready, child)
+    return out
 
 
 def _read(urdf: UrdfFile):

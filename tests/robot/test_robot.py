@@ -143,6 +143,25 @@ def test_unknown_joints(tree, arguments, words):
     assert all(word in str(error.value) for word in words)
 
 
+def test_joints_are_in_the_order_of_the_file_along_their_chains(tmp_path):
+    """Branches as the file lists them, where Pinocchio sorts them by name; a chain from its base, however it is listed."""
+
+    def joint(name, parent, child):
+        limit = '<axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/>'
+        return f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>{limit}</joint>'
+
+    links = "".join(f'<link name="{name}"/>' for name in ("base", "r1", "r2", "l1", "l2"))
+    right, left = (
+        [joint("right1", "base", "r1"), joint("right2", "r1", "r2")],
+        [joint("left2", "l1", "l2"), joint("left1", "base", "l1")],
+    )
+    for listed, expected in (
+        ([*right, *left], ("right1", "right2", "left1", "left2")),
+        ([right[0], left[1], right[1], left[0]], ("right1", "left1", "right2", "left2")),
+    ):
+        assert load_robot(write(tmp_path, f'<robot name="r">{links}{"".join(listed)}</robot>')).joint_names == expected
+
+
 def test_unreadable_files(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         load_robot(tmp_path / "none.urdf")
