@@ -42,6 +42,9 @@ from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.regression import parallel
 from tests.studies.page import STUDIES, write_page
 
+_VERB = import_module("bayesid.workflows.diagnose")
+_WITH_DESCRIPTION = _VERB._with_description
+
 MOVED = 0.3
 QUICK = ("accept", "unexplained", "nearly_all", "most")
 #: Thresholds that are used in sums, products and comparisons; others, such as a time or a band, change what is computed.
@@ -295,11 +298,18 @@ class Watched(Settings):
 def diagnosed(folder: Path, channel: str, settings: Settings = DEFAULT) -> dict[str, Any]:
     """Verdict and effects with their rivals; a refusal as verdict ``refused``."""
     warnings.simplefilter("ignore")
-    verb = import_module("bayesid.workflows.diagnose")
-    # What comes after the verdict changes no name.
-    quick = {n: lambda result, *_: result for n in ("_with_errors", "_with_next_motion", "_with_description")}
-    for later, instead in (quick | {"_places": lambda *_: ()}).items():
-        setattr(verb, later, instead)
+    parts = []
+
+    def described(result: Any, *rest: Any) -> Any:
+        # A draft can take the place of effects that are named in part, and of no others.
+        if result.part is not None:
+            parts.append(result.part)
+        return _WITH_DESCRIPTION(result, *rest) if parts else result
+
+    # What else comes after the verdict changes no name.
+    quick = {n: lambda result, *_: result for n in ("_with_errors", "_with_next_motion")}
+    for later, instead in (quick | {"_places": lambda *_: (), "_with_description": described}).items():
+        setattr(_VERB, later, instead)
     parallel._MOST = 1  # a process that branches has one thread
     try:
         said = bayesid.diagnose(folder, channel, settings=settings, progress=None).to_dict()
