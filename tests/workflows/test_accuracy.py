@@ -11,6 +11,7 @@ import pytest
 import bayesid
 from bayesid.cli import main
 from bayesid.report.accuracy import accuracy_report
+from bayesid.rounding import number
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 SENSORS = '[[sensor]]\nname = "platform"\nkind = "base"\nnoise = [1.0, 0.1]\nrange = [50, 20]\n'
@@ -42,6 +43,8 @@ def test_everything_is_written(result, tmp_path):
     page, document = report.read_text(encoding="utf-8"), json.loads((tmp_path / "out" / "accuracy.json").read_text())
     for title in ("What would buy most", "One factor at a time", "Effects left out", "Coverage certificate", "Candidate sensors"):
         assert title in page
+    bias = np.abs(result.sweeps.own.bias / result.std).max()  # in the unit of the estimate, beside what five means scatter by
+    assert f"{number(bias, 2)} σ</b><span>largest bias" in page and "can be chance in 5 twins" in page
     assert page.count("<svg") == 3 and "http" not in page.replace("http://www.w3.org", "")
     assert document["schema"] == 1 and len(document["base_parameters"]) == len(result.names)
     assert document["certificate"]["twins"] == 20 and document["sensors"][0]["exceeds_range"] is True
