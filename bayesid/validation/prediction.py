@@ -89,6 +89,7 @@ class Prediction:
     #: What a flexible model would take from the error of a motion that was not fitted; None where nothing tells.
     flexible: FlexibleGap | None = None
     fitted: bool = False  # whether the estimate was fitted to this motion
+    biased: bool = False  # whether the estimate has no covariance, as it is biased by nobody knows how much
 
     @property
     def noise_known(self) -> bool:
@@ -220,6 +221,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
         poses=all(r.poses for r in moving),
         spectrum=spectrum,
         fitted=motion.name in problem.fitted,
+        biased=estimate.full_covariance is None,
     )
 
 
@@ -402,12 +404,14 @@ def judged(prediction: Prediction) -> Judgement:
             return Judgement("fair", text)
         where = f", though {prediction.channel_names[worst]} holds little but noise" if share > _NAMED else ""
         return Judgement("good", f"what is left is the sensor's noise ({white:.3g} times){where}")
-    times = f"{white:.3g} times the sensor's noise"
+    times, missing = f"{white:.3g} times the sensor's noise", "something is missing in the model"
+    if prediction.biased:
+        missing = f"the estimator is biased, or {missing}"
     if error <= CLOSE:
         small = "" if wrong else ", small beside the readings"
-        return Judgement("fair", f"what is left is {times}: something is missing in the model{small}{wrong}")
+        return Judgement("fair", f"what is left is {times}: {missing}{small}{wrong}")
     if error <= POOR:
-        return Judgement("fair" if not wrong else "bad", f"what is left is {times}: something is missing in the model{wrong}")
+        return Judgement("fair" if not wrong else "bad", f"what is left is {times}: {missing}{wrong}")
     return Judgement("bad", f"what is left is {times}: the model predicts this motion poorly{wrong}")
 
 

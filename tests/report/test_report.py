@@ -101,7 +101,7 @@ def test_details_are_words(puma):
         "rejected_share": 0.0312, "model_complete": np.True_, "lost": None, "at": np.arange(11), "mine": {"so_far": 0.5},
     }))  # fmt: skip
     assert said["Rejected times"] == "one: 1.00 to 1.25 s, 3.50 s; two: 0.20 to 0.30 s"
-    assert said["Rows rejected as taps or contacts"] == "3.12 %" and said["Model complete by that test"] == "yes"
+    assert said["Rows rejected as taps or contacts"] == "3.12 %" and said["Model complete"] == "yes"
     assert said["Lost"] == "–" and said["At"].endswith("7 and 3 more") and said["Mine"] == "so far: 0.500"
     assert dict(described({"rejected_windows": {}})) == {"Rejected times": "none"}
     for method in ("huber", "iv", "tls", "sdp"):

@@ -54,6 +54,17 @@ def test_the_floor_is_the_same_at_any_bandwidth(arm, effects):
     np.testing.assert_array_equal(*powers)
 
 
+def test_what_a_biased_estimator_leaves_need_not_be_missing_in_the_model(arm):
+    """Ridge and truncated SVD have no covariance that would say what they leave by themselves."""
+    (kept,), (drawn,) = (bayesid.identify(arm, method=method).validation for method in ("wls", "ridge"))
+    assert not kept.biased and drawn.biased
+    for prediction, said in (
+        (kept, "noise: something is missing"),
+        (drawn, "noise: the estimator is biased, or something is missing"),
+    ):
+        assert said in judged(dataclasses.replace(prediction, whitened_rms=2.0, expected_rms=1.0)).text
+
+
 def test_a_model_that_lacks_something_cannot_call_it_noise(arm):
     """Half of the links' inertia is not in the model: the fit's own residuals hide it, the floor does not."""
     shift = np.random.default_rng(1).normal(size=6)
