@@ -245,9 +245,9 @@ def _add_code(
         made.warnings.append(
             "The sensor does not feel what acts inside the joints: friction is not in the torques of inverse_dynamics."
         )
-    elif unread := [name for k, name in enumerate(found.robot.joint_names, 1) if f"tau{k}" not in found.readings]:
+    elif found.unread:
         made.warnings.append(
-            f"No torque was read of {listed(unread)}: friction and what else acts inside are not in inverse_dynamics."
+            f"No torque was read of {listed(found.unread)}: friction and what else acts inside are not in inverse_dynamics."
         )
     if model.covariance is None:
         made.warnings.append(f"{found.method} has no covariance, so the torques have no band; take another method, such as wls.")

@@ -188,8 +188,11 @@ def test_friction_of_joints_without_a_torque_is_said_to_be_missing(tmp_path):
     result = bayesid.identify(replace(made, motions=tuple(motions)), channel="torque", method="wls")
     result.write(tmp_path / "saved")
     for given in (result, tmp_path / "saved"):
-        (said,) = [text for text in bayesid.export(given, "numpy").warnings if "friction" in text]
+        made = bayesid.export(given, "numpy,cpp")
+        (said,) = [text for text in made.warnings if "friction" in text]
         assert said.startswith("No torque was read of joint2: ")
+        for file in FILE.values():
+            assert "Not in it, for their torque was not read: what acts inside joint2.\n" in made[file]
 
 
 def test_names_are_no_code(identified):

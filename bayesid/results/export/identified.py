@@ -68,6 +68,11 @@ class IdentifiedRobot:
     link_draws: np.ndarray | None = None
     effect_draws: np.ndarray | None = None
 
+    @property
+    def unread(self) -> tuple[str, ...]:
+        """Names of joints whose torque was not read, so that nothing is known of what acts inside them."""
+        return tuple(name for k, name in enumerate(self.robot.joint_names, 1) if f"tau{k}" not in self.readings)
+
     @cached_property
     def effect_columns(self) -> dict[str, int]:
         """Where each estimated parameter of an effect stands in ``solution``, by its name."""

@@ -9,6 +9,9 @@
 // half is nan where the torque takes something that the data say nothing of{{ "" if covariance is not none else ", here everywhere: " ~ found.method ~ " has no covariance" }}.
 // No function allocates, throws, or keeps anything. For a second robot in one program, say before including its file
 //   #define BAYESID_NAMESPACE another_name
+{% if found.unread %}
+// Not in it, for their torque was not read: what acts inside {{ found.unread | join(", ") | plain }}.
+{% endif %}
 {% for spec in model.left_out %}
 // Not in it, though in the model that was identified: {{ spec | plain }}.
 {% endfor %}
