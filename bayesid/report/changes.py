@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayesid.arguments import argument, call
-from bayesid.diagnosis.changes.findings import HiddenChange, NamedChange, ReferenceComparison
+from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, text_width, write
@@ -74,7 +74,7 @@ def changes_report(result: Changes) -> str:
         ] if places else ["No channel is off anywhere by more than its own fit leaves."], "Where"),
         *([ShownSection("What next", [following])] if following else []),
         ShownSection("How large a change could hide", [
-            _hidden(c),
+            hidden_table(c),
             note("By these motions, beside what was named; a body's other parameters in the proportions of a compact one near "
                  "the joint."),
         ], "What could hide"),
@@ -153,14 +153,10 @@ def _place(result: Changes, place) -> list[str]:
     ]  # fmt: skip
 
 
-def _hidden(c: ReferenceComparison) -> ShownTable:
-    """Smallest changes that would have been named, a line for each kind."""
-    kinds: dict[str, list[HiddenChange]] = {}
-    for h in c.hidden:
-        kinds.setdefault(h.change.name, []).append(h)
+def hidden_table(c: ReferenceComparison) -> ShownTable:
+    """Smallest changes that would have been named, a line for each kind and unit."""
     rows = []
-    for name, members in kinds.items():
-        parameter, unit = members[0].change.parameters[0]
+    for (name, parameter, unit), members in results.hidden_by_kind(c).items():
         sizes = ", ".join(f"{h.change.where} {number(h.value, 2) if np.isfinite(h.value) else 'never'}" for h in members)
         rows.append([name, parameter.rsplit(".", 1)[-1], unit_text(unit), sizes])
     return ShownTable(["change", "of", "unit", "smallest that would have been named"], rows, "k - u w")

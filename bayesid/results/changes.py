@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.arguments import argument, call
-from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison, Value
+from bayesid.diagnosis.changes.findings import HiddenChange, NamedChange, ReferenceComparison, Value
 from bayesid.diagnosis.changes.held_out import Place
 from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
 from bayesid.effects import stated_of
@@ -227,15 +227,22 @@ def gap_sentence(comparison: ReferenceComparison) -> str:
     )
 
 
+def hidden_by_kind(comparison: ReferenceComparison) -> dict[tuple[str, str, str], list[HiddenChange]]:
+    """Changes that could hide, by name, parameter and unit: joints that slide have another than those that turn."""
+    out: dict[tuple[str, str, str], list[HiddenChange]] = {}
+    for h in comparison.hidden:
+        out.setdefault((h.change.name, *h.change.parameters[0]), []).append(h)
+    return out
+
+
 def hidden_sentences(comparison: ReferenceComparison) -> list[str]:
-    """How large a change could hide, a sentence for each kind."""
+    """How large a change could hide, a sentence for each kind and unit."""
     out = []
-    for name in _LISTED:
-        mine = [h for h in comparison.hidden if h.change.name == name and h.change.where != EVERYWHERE and np.isfinite(h.value)]
-        if mine:
-            _, unit = mine[0].change.parameters[0]
-            sizes = ", ".join(f"{h.change.where} {number(h.value, 2)}" for h in mine)
-            out.append(f"{name} up to{'' if unit == '1' else f' ({unit})'}: {sizes}")
+    kinds = [(*kind, found) for name in _LISTED for kind, found in hidden_by_kind(comparison).items() if kind[0] == name]
+    for name, _, unit, found in kinds:
+        sizes = [f"{h.change.where} {number(h.value, 2)}" for h in found if h.change.where != EVERYWHERE and np.isfinite(h.value)]
+        if sizes:
+            out.append(f"{name} up to{'' if unit == '1' else f' ({unit})'}: {', '.join(sizes)}")
     return out
 
 

@@ -23,8 +23,8 @@ from bayesid.effects import EffectLibrary, Term
 from bayesid.effects.friction import CoulombFriction
 from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
-from bayesid.report.changes import changes_report
-from bayesid.results.changes import Changes, next_experiment
+from bayesid.report.changes import changes_report, hidden_table
+from bayesid.results.changes import Changes, hidden_sentences, next_experiment
 from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
 from tests.robots import puma560, wrist_sensor_arm, write
@@ -225,6 +225,22 @@ def test_nothing_is_named_where_friction_wanders_by_a_twentieth(arm):
     assert 0.01 < hidden["payload@joint6"] < 1.5
     assert 0.8 < hidden["coulomb_friction@joint2"] < 8.0
     assert "could hide" in str(found)
+
+
+def test_what_could_hide_is_in_the_unit_of_its_joint():
+    """A rail that slides and an elbow that turns."""
+    units = {"joint1": "N s/m", "joint2": "N m s/rad"}
+    hidden = [
+        SimpleNamespace(
+            change=SimpleNamespace(name="viscous_friction", where=j, parameters=(("coefficient", unit),)), value=2.0 + k
+        )
+        for k, (j, unit) in enumerate(units.items())
+    ]
+    comparison = cast(ReferenceComparison, SimpleNamespace(hidden=hidden))
+    said = ["viscous_friction up to (N s/m): joint1 2.0", "viscous_friction up to (N m s/rad): joint2 3.0"]
+    assert hidden_sentences(comparison) == said
+    rows = hidden_table(comparison).rows
+    assert rows == [["viscous_friction", "coefficient", unit, f"{j} {2 + k}.0"] for k, (j, unit) in enumerate(units.items())]
 
 
 def test_what_the_reference_keeps_stays_fixed_in_the_model_that_is_written(arm):
