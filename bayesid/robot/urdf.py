@@ -47,8 +47,8 @@ def urdf_text(robot: Robot, parameters: np.ndarray, dynamics: JointDynamics | No
     theirs (they are in the body's), and a split sensor link's far part goes to the sensor joint's child. Elements that
     a joint or an ``<inertial>`` has twice stay as they are read: the first one (MuJoCo refuses others).
 
-    Parameters are ten a body (b, 10) or (10 b,). Friction of joints that ``dynamics`` does not name stays as it is; what a URDF
-    has no place for stands in comments.
+    Parameters are ten a body (b, 10) or (10 b,). Friction of joints that ``dynamics`` does not name stays as it is, what it has
+    left out goes; what a URDF has no place for stands in comments.
     """
     dynamics = dynamics or JointDynamics({})
     root = robot.description.root
@@ -67,6 +67,9 @@ def urdf_text(robot: Robot, parameters: np.ndarray, dynamics: JointDynamics | No
             element = ET.SubElement(joints[name], "dynamics")
         for attribute, value in values.items():
             element.set(attribute, repr(float(value)))
+    for name, _, attribute in (text.rpartition(" ") for text in dynamics.left_out):
+        for element in joints[name].findall("dynamics"):
+            element.attrib.pop(attribute, None)  # what the URDF stated is no better than none
     for element in (*root.findall("joint"), *root.iter("inertial")):
         kept = {child.tag: child for child in reversed(element)}
         for child in list(element):

@@ -29,9 +29,9 @@ from bayesid.effects import EffectLibrary, JointMotion
 from bayesid.effects.segment import direction
 from bayesid.results.export.inverse_dynamics import LAWS, JointLaw, cpp_header, inverse_dynamics, numpy_module
 from bayesid.results.export.simulators import mjcf, sdf
-from bayesid.robot.examples import PAPER_LOCKED
+from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import load_robot
-from bayesid.robot.urdf import JointDynamics
+from bayesid.robot.urdf import JointDynamics, urdf_text
 from bayesid.workflows import export as workflow
 from tests.robots import ROBOTS, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -660,6 +660,14 @@ def test_negative_friction_is_told_and_not_written(identified):
     changed = replace(identified.urdf.dynamics, left_out=("wrist_3_joint friction",))
     told = bayesid.export(replace(identified, urdf=replace(identified.urdf, dynamics=changed)), "mjcf,urdf").warnings
     assert [w.split(":")[0] for w in told] == ["Negative and so not in identified.xml", "Negative and so not in identified.urdf"]
+
+
+def test_negative_friction_leaves_none_of_the_urdfs_own(tmp_path):
+    text = puma_two_joint_urdf().replace("</joint>", '<dynamics damping="9" friction="8"/></joint>')
+    robot = load_robot(write(tmp_path, text), ["joint1", "joint2"], PAPER_LOCKED)
+    made = urdf_text(robot, robot.nominal, JointDynamics({"joint1": {"friction": 1.0}}, ("joint1 damping",)))
+    joints = {joint.get("name"): joint.find("dynamics").attrib for joint in ET.fromstring(made).findall("joint")}
+    assert joints["joint1"] == {"friction": "1.0"} and joints["joint2"] == {"damping": "9", "friction": "8"}
 
 
 def test_a_law_that_has_no_place_is_told(tmp_path):
