@@ -46,8 +46,6 @@ def simulate(
         raise InputError(f"--{'rate' if duration is None else 'duration'} is for new motions; add --new")
     if trajectory and new:
         raise InputError("--trajectory is given with --new; name the motions, or let new ones be made")
-    if not 0 <= perturb <= 10:
-        raise InputError(f"--perturb {perturb}: give a share from 0 to 10, such as 0.1")
     check_output(out or shared.OUTPUTS)
     recorder = Recorder(**instruments)
     with shared.show_progress() as progress:

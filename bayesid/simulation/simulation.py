@@ -22,6 +22,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg import expm
 
+from bayesid.arguments import argument
 from bayesid.dynamics.channels import WRENCH_NAMES, Channels, torque_channels, wrench_channels
 from bayesid.effects import REST_SPEED, Effect, EffectLibrary, EncoderEffect, MotionSegment, Term, TransmissionEffect, middle_of
 from bayesid.effects.exact import readings
@@ -39,6 +40,7 @@ from bayesid.simulation.trajectories import Trajectory, new_trajectories, record
 
 Values = Mapping[str, float | bool]
 
+_LARGEST_CHANGE = 10  # of links that are perturbed, as a relative standard deviation
 _CHUNK = 8192  # samples whose readings are made at once
 #: What is differentiated again on the way, a flexible joint's torque, is smooth up to this [Hz].
 _BANDWIDTH = 20.0
@@ -72,8 +74,13 @@ class Recorder:
     def __post_init__(self):
         for item in fields(self):
             value = getattr(self, item.name)
-            if value is not None and not (np.min(value) >= 0 and np.max(value) <= LARGEST):
-                raise InputError(f"{item.name} = {value}: give a number from 0 to {LARGEST:g}")
+            if value is None:
+                continue
+            several = item.name == "resolution" and isinstance(value, (tuple, list, np.ndarray))
+            numbers = value if several else [value]
+            if not all(isinstance(x, (int, float, np.number)) and 0 <= x <= LARGEST for x in numbers):
+                each = ", or one a joint" if item.name == "resolution" else ""
+                raise InputError(f"{item.name} = {value}: give a number from 0 to {LARGEST:g}{each}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +150,7 @@ def simulate(
     setup: Experiment | Robot | str | Path,
     trajectories: Sequence[Trajectory] | None = None,
     *,
-    effects: Mapping[str, Values | None] | Sequence[str] = (),
+    effects: Mapping[str, Values | None] | Sequence[str] | str = (),
     links: np.ndarray | None = None,
     perturb: float = 0.0,
     recorder: Recorder | None = None,
@@ -159,11 +166,11 @@ def simulate(
         True motions; default the experiment's own, or new ones.
     effects
         What the plant has beyond rigid bodies, ``name`` or ``name@where``, with values of its parameters
-        (`default_values` where left out).
+        (`default_values` where left out); a list of them, or one text with commas between.
     links
         True link parameters (b, 10); default nominal.
     perturb
-        Changes them by this relative standard deviation, see `perturbed_links`.
+        Changes them by this relative standard deviation, from 0 to 10, see `perturbed_links`.
     recorder
         The instruments.
     seed
@@ -177,16 +184,22 @@ def simulate(
     Raises
     ------
     InputError
-        Unknown effect, place or parameter; links of the wrong shape; a seed below 0.
+        Unknown effect, place or parameter; links, motions or instruments of another robot; a number that cannot be.
     """
     if isinstance(setup, Robot):
         setup = Experiment(setup.name, setup, (), Sensor(setup.sensor_joint))
     require_seed(seed)
+    if not 0 <= perturb <= _LARGEST_CHANGE:
+        raise InputError(f"{argument('perturb', perturb)}: give a share from 0 to {_LARGEST_CHANGE}, such as 0.1")
     setup = as_experiment(setup, "a Robot")
     robot = setup.robot
     streams = [int(s.generate_state(1)[0]) for s in np.random.SeedSequence(seed).spawn(3)]
     if trajectories is None:
         trajectories = recorded_trajectories(setup) if setup.motions else new_trajectories(robot, seed=streams[0])
+    for motion in trajectories:
+        if motion.positions.shape[1] != robot.n:
+            joints = motion.positions.shape[1]
+            raise InputError(f"trajectory '{motion.name}' moves {joints} joints, the robot has {robot.n}; plan it for this robot")
     true = np.array(robot.nominal if links is None else links, float)
     if true.shape != robot.nominal.shape:
         raise InputError(f"links have shape {true.shape}; give {robot.nominal.shape}, ten parameters a body")
@@ -194,6 +207,8 @@ def simulate(
         true = perturbed_links(replace(robot, nominal=true), perturb, streams[1])
     plant = complete_effects(robot, effects, setup.effect_values, setup.library)
     recorder = _complete(recorder or Recorder(), setup)
+    if np.size(recorder.resolution) not in (1, robot.n):
+        raise InputError(f"resolution = {recorder.resolution}: give one number, or one for each of {robot.n} joints")
     bench = _Bench(setup, true, plant, recorder, np.random.default_rng(streams[2]), _middle(trajectories))
     resolution = float(np.max(recorder.resolution or 0.0))
     return Simulation(
@@ -307,7 +322,7 @@ def default_values(effect: Effect, robot: Robot) -> dict[str, float]:
 
 def complete_effects(
     robot: Robot,
-    effects: Mapping[str, Values | None] | Sequence[str],
+    effects: Mapping[str, Values | None] | Sequence[str] | str,
     stated: Mapping[str, Values],
     library: EffectLibrary | None = None,
 ) -> dict[str, dict[str, float]]:
@@ -316,6 +331,8 @@ def complete_effects(
     Values that are not given are ``stated`` (``[model.values]``), else `default_values`, or zero for the axes of a sensor that
     are left out. An `InputError` where an effect, place or parameter is unknown.
     """
+    if isinstance(effects, str):
+        effects = [part.strip() for part in effects.split(",") if part.strip()]
     given = effects if isinstance(effects, Mapping) else dict.fromkeys(effects)
     out: dict[str, dict[str, float]] = {}
     for spec, own in given.items():
@@ -324,10 +341,15 @@ def complete_effects(
             if own is None:
                 own_here = stated_of(effect, stated, robot.joint_names)
             values = default_values(effect, robot)
-            known = {key: float(value) for key, value in (own_here or {}).items() if key != "fixed"}
-            for key in known:
+            known = {}
+            for key, value in (own_here or {}).items():
+                if key == "fixed":
+                    continue
                 if key not in values:
                     raise InputError(f"effect '{spec}': no parameter '{key}'; it has {', '.join(values)}")
+                if not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
+                    raise InputError(f"effect '{spec}': {key} = {value!r} is no number")
+                known[key] = float(value)
             if effect.zero_unless_stated and known:
                 values = dict.fromkeys(values, 0.0)
             out[effect.spec] = values | known

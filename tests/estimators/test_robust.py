@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 from scipy.stats import chi2, multivariate_t, norm
 
+import bayesid
 from bayesid.errors import InputError
 from bayesid.estimators import fit
 from bayesid.estimators.robust.m_estimators import Huber, Student
@@ -340,3 +341,15 @@ def test_page_is_written(tmp_path):
     arms = {name: outliers.summarise(results) for name in outliers.ARMS}
     outliers.write({"seed": 1, "level": 0.95, "arms": arms}, tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {"README.md", "results.json"}
+
+
+@pytest.mark.parametrize("method", ["huber", "student"])
+def test_a_stated_noise_sets_the_intervals(method):
+    """As in every other estimator; the residuals, a third as large, set them."""
+    rng = np.random.default_rng(0)
+    matrix = rng.normal(size=(1000, 2, 3))
+    target = matrix @ np.ones(3) + 0.1 * rng.normal(size=(1000, 2))
+    regression = Regression.from_arrays(matrix, target, noise_std=[0.3, 0.3])
+    with pytest.warns(bayesid.BayesidWarning, match="times the stated noise_std, so intervals are too long"):
+        robust, plain = fit(regression, method), fit(regression, "wls")
+    np.testing.assert_allclose(robust.std, plain.std, rtol=0.03)

@@ -132,10 +132,13 @@ def test_values_come_from_the_model_then_the_defaults(setup):
     assert plant["viscous_friction@joint2"] == {"coefficient": 9.0}
     assert plant["viscous_friction@joint1"] == default_values(ViscousFriction("joint1", 0), robot)
     assert set(plant["sensor_offset@sensor"]) == set(WRENCH_COLUMNS)
+    assert complete_effects(robot, "viscous_friction, sensor_offset", stated) == plant
     assert complete_effects(robot, {"sensor_offset": {"fx": 1.0}}, {})["sensor_offset@sensor"]["fz"] == 0.0
     for effects, message in [
         (["friction"], "cannot be simulated"), (["load_friction@elbow"], "no joint 'elbow'"),
         ({"load_friction@joint1": {"level": 1.0}}, "no parameter 'level'"),
+        ({"load_friction@joint1": {"coefficient": "0.1"}}, "coefficient = '0.1' is no number"),
+        ({"load_friction@joint1": {"coefficient": np.nan}}, "coefficient = nan is no number"),
     ]:  # fmt: skip
         with pytest.raises(bayesid.InputError, match=message):
             complete_effects(robot, effects, {})
@@ -186,6 +189,17 @@ def test_unusable_input_is_refused(setup):
         bayesid.simulate(setup, new_trajectories(setup.robot, 2.0), links=np.zeros((3, 10)))
     with pytest.raises(bayesid.InputError, match="seed = -1: give a whole number of at least 0"):
         bayesid.simulate(setup, seed=-1)
+    longer = [replace(t, positions=t.positions[:, [0, 1, 1]]) for t in new_trajectories(setup.robot, 2.0)]
+    for options, message in [
+        ({"perturb": -0.1}, "perturb=-0.1: give a share"), ({"perturb": np.nan}, "perturb=nan: give a share"),
+        ({"trajectories": longer}, "'identification' moves 3 joints, the robot has 2"),
+        ({"recorder": bayesid.Recorder(resolution=(1e-4, 1e-4, 1e-4))}, "one number, or one for each of 2 joints"),
+    ]:  # fmt: skip
+        with pytest.raises(bayesid.InputError, match=message):
+            bayesid.simulate(setup, **{"trajectories": new_trajectories(setup.robot, 2.0), **options})
+    for options in ({"force_std": "1"}, {"force_std": (0.1, 0.1, 0.1)}, {"resolution": "fine"}):
+        with pytest.raises(bayesid.InputError, match="give a number from 0"):
+            bayesid.Recorder(**options)
     with pytest.raises(bayesid.InputError, match="no such folder"):
         load_setup("no such folder")
 

@@ -121,6 +121,8 @@ REJECTED_WEIGHT, REJECTED_LENGTH = 0.5, 2.0
 #: Nothing is rejected where less than this share of a group's rows would be left: that is the model's fault.
 SMALLEST_ACCEPTED = 0.5
 _SMALLEST_SLOPE = 0.1
+#: Of the lengths of normal segments, for means over them.
+_QUANTILES = (np.arange(200) + 0.5) / 200
 
 
 @dataclass(frozen=True)
@@ -243,7 +245,7 @@ class RobustFit:
         return max(1.0 + total / max(seen, 1), _SMALLEST_SLOPE)
 
     def _score_noise(self) -> dict[str, NoiseModel]:
-        """Noise of ``w y``, learned from weighted rows as that of y is from rows."""
+        """Noise of ``w y``, learned from weighted rows as that of y is from rows; of noise that is stated, its share."""
         pilot = self.clean.rows.pilot()
         residual = residuals(pilot, self.solution)
         metric = metrics(residual, self.learned.noise)
@@ -251,6 +253,11 @@ class RobustFit:
         share = self.loss.weights(q / self.variance, n)[residual.segment]
         if (share == 1.0).all():
             return self.learned.noise
+        if self.regression.noise_std is not None:
+            typical = float(np.median(self.n[self.n > 0]))
+            q = chi2.ppf(_QUANTILES, typical)
+            w = self.loss.weights(q / max(self.variance, 1.0), np.full(len(q), typical))
+            return {g: m.scaled(float(np.sum(w**2 * q) / np.sum(q))) for g, m in self.learned.noise.items()}
         rows = self.clean.rows.with_pilot(tuple(weighted(pilot, residual, share)))
         return learn_weights(replace(self.clean, rows=rows, noise_std=None)).noise
 
