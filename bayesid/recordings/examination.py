@@ -31,6 +31,7 @@ _FAR_OUTSIDE = 4.0 * np.pi  # beyond a limit by this much [rad or m]: another un
 _LARGE_ANGLE = 20.0  # no joint with limits turns this far [rad]
 _KINKS = 2  # so many turns at zero make a magnitude
 _REACH = 6  # samples on either side of a turn
+_CLEAR = 0.05  # torques that are never below this share of their largest are clear of zero
 _LIMIT_SLACK = 0.1  # [rad or m]
 _READINGS = {"wrench": "fx ... mz", "torques": "tau1 ..."}
 
@@ -80,13 +81,16 @@ def check_channels(table: Table) -> list[str]:
 def _without_sign(table: Table) -> list[str]:
     """Torque columns that are magnitudes: none is ever negative.
 
-    Of three joints, one at least is not loaded by gravity to one side only, or has friction in both directions. One or two
-    may be; their torques are magnitudes where they turn back at zero, instead of going on with their slope: a minimum that
-    touches zero by chance is flat for many samples.
+    Of three joints or more, one at least comes next to zero, as no torque does that gravity loads to one side only. One or two
+    may come there by chance; their torques are magnitudes where they turn back at zero, instead of going on with their slope: a
+    minimum that touches zero by chance is flat for many samples.
     """
     if table.torques is None or len(table) < 4 * _REACH or (table.torques < 0.0).any():
         return []
     if len(table.torque_joints) > 2:
+        torques = table.torques[:, table.torque_joints]
+        if (torques.min(axis=0) > _CLEAR * torques.max(axis=0)).all():
+            return []  # gravity holds each to one side, as it does a boom's joints
         return [f"tau{table.torque_joints[0] + 1}", "...", f"tau{table.torque_joints[-1] + 1}"]
     found = []
     for j in table.torque_joints:

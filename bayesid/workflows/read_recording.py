@@ -35,8 +35,8 @@ _LONGEST_NAME = 80  # of a motion, which experiment.toml may call a little longe
 _STANDS = 0.02  # a joint that moves by less stands [rad or m]
 #: Parts of a complaint of a unit, and what says the unit in an import.
 _UNITS = {
-    "degrees per second": "v=deg/s", "degrees": "q=deg", "millimetres": "q=mm", "milliseconds": "t=ms", "microseconds": "t=us",
-    "nanoseconds": "t=ns",
+    "degrees per second": "v=deg/s", "millimetres per second": "v=mm/s", "degrees": "q=deg", "millimetres": "q=mm",
+    "milliseconds": "t=ms", "microseconds": "t=us", "nanoseconds": "t=ns",
 }  # fmt: skip
 
 

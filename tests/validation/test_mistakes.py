@@ -26,6 +26,7 @@ from bayesid.validation.mistakes.evidence import Change, Explainer, _non_negativ
 from bayesid.validation.mistakes.from_data import orders
 from bayesid.validation.mistakes.samples import low_passed
 from bayesid.validation.mistakes.search import MistakeSearch, find_mistakes
+from tests.example_robots import Joint, Link, urdf_text
 from tests.robots import ROBOTS, lwr4, ur5, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 from tests.studies.mistakes import Made, changed, made, magnitudes, times, turned
@@ -167,6 +168,29 @@ def test_two_joints_may_be_loaded_to_one_side(tmp_path: Path) -> None:
     with pytest.raises(bayesid.InputError, match="never negative"):
         check_channels(magnitudes(table))
     assert check_channels(replace(table, torques=table.torques - table.torques.min(axis=0))) == []
+
+
+@pytest.mark.parametrize("kind", ["trajectory", "poses"])
+def test_gravity_may_load_every_joint_to_one_side(kind: str, tmp_path: Path) -> None:
+    """A boom, a stick and a bucket before it, as an excavator has, never reach far enough up or down to be without a load."""
+    links = [
+        Link(name, mass, (0.4, 0.0, 0.0), (0.1, 0.4, 0.4)) for name, mass in (("boom", 8.0), ("stick", 6.0), ("bucket", 4.0))
+    ]
+    pairs = (("base", "boom"), ("boom", "stick"), ("stick", "bucket"))
+    joints = [Joint(f"j{k}", *pair, (0.8 * (k > 0), 0.0, 0.0), axis=(0.0, -1.0, 0.0)) for k, pair in enumerate(pairs)]
+    (tmp_path / "robot.urdf").write_text(urdf_text("boom", [Link("base"), *links], joints), encoding="utf-8")
+    robot = bayesid.load_robot(tmp_path / "robot.urdf")
+    t = np.arange(2500) / 125.0
+    rate = np.array([0.9, 1.3, 1.7])
+    q, v, a = (0.25 * rate**k * np.sin(np.outer(t, rate) + 0.5 * k * np.pi) for k in range(3))
+    table = recording(robot, None, (t, q, v, a), torque_std=0.05, seed=1)
+    if kind == "poses":
+        table = recording(robot, None, (t[::50], q[::50], 0.0 * q[::50], 0.0 * q[::50]), torque_std=0.05, seed=1)
+    assert table.torques is not None and (table.torques > 0.0).all()
+    bayesid.Experiment("boom", robot, (bayesid.Motion("one", "identification", table, kind),))
+    turned = replace(table, torques=np.abs(table.torques - table.torques.mean(axis=0)))
+    with pytest.raises(bayesid.InputError, match="never negative"):
+        bayesid.Experiment("boom", robot, (bayesid.Motion("one", "identification", turned, kind),))
 
 
 def test_generators_hold_the_bodies_of_real_arms(tmp_path: Path) -> None:

@@ -85,3 +85,16 @@ def test_a_name_that_states_a_unit_of_something_else_is_not_taken_as_it_stands(u
         bayesid.read_recording(path, urdf, joints=["rail", "turn"])
     imported = bayesid.read_recording(path, urdf, joints=["rail", "turn"], scale={"q2": 0.5})
     np.testing.assert_allclose(imported.experiment.motions[0].table.positions, Q, rtol=1e-14)
+
+
+def test_velocities_of_a_slide_in_millimetres_are_told_as_such(urdf, tmp_path):
+    """It was said of them that times were in milliseconds."""
+    path = log(tmp_path)
+    frame = pd.read_csv(path)
+    frame["rail/vel"], frame["turn/vel"] = 390.0 * np.cos(1.3 * T), 0.99 * np.cos(0.9 * T)
+    frame.to_csv(path, index=False)
+    said = r'column "rail/vel": 1e\+03 times .* millimetres per second, or column "t" like .* \(or say so: units v=mm/s\)'
+    with pytest.raises(InputError, match=said):
+        bayesid.read_recording(path, urdf, joints=["rail", "turn"])
+    units = {"v": "mm/s", "v2": "rad/s"}
+    assert bayesid.read_recording(path, urdf, joints=["rail", "turn"], units=units).experiment.warnings == ()
