@@ -58,7 +58,8 @@ def described_section(data: DiagnosisData, description: Description) -> ShownSec
         share, low = percent(min(c.share, 1.0)), percent(min(c.share_low, 1.0))
         terms.append(
             f"`{', '.join(c.candidate.shape.texts)}` closes {share} of what was left on the other half (at least {low}). "
-            f"**It may be** {'; or '.join(causes)}. **It cannot be told from** {rivals or 'nothing else that was tried.'}"
+            f"**It may be** {'; or '.join(causes)}. "
+            + (f"**It cannot be told from** {rivals}" if rivals else "Nothing else that was tried does as well there.")
         )
     unseen = ", on a motion that was not fitted." if d.gap is not None else "."
     return ShownSection("Described, not named", [
@@ -269,11 +270,12 @@ def _moved(d: Diagnosis) -> ShownSection:
 def _left(d: Diagnosis, views: Views) -> ShownSection:
     """What is left with the model as it was and as it is in the end."""
     known, changed = all(e.before.noise_known for e in results.shown_errors(d)), views.changed
-    in_noise = "Residual of every channel in units of the noise (logarithmic axis), as identify leaves it with either model."
+    either = " with either model" if any(e.after is not None for e in results.shown_errors(d)) else ""
+    in_noise = f"Residual of every channel in units of the noise (logarithmic axis), as identify leaves it{either}."
     if d.part is None:
         in_noise += " The line is what a complete model would leave: noise, and what is not known of its fitted parameters."
     in_percent = (
-        "Residual of every channel in per cent of its signal (logarithmic axis), as identify leaves it with either model; the "
+        f"Residual of every channel in per cent of its signal (logarithmic axis), as identify leaves it{either}; the "
         "sensor's own noise is not known."
     )
     poses = d.data.poses
