@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-from bayesid.results.files import SCHEMA, Files, ShownResult
+from bayesid.arguments import argument
+from bayesid.errors import InputError
+from bayesid.results.files import SCHEMA, WRITTEN, Files, ShownResult
 from bayesid.rounding import channel_name
 from bayesid.section import ShownTable
 
@@ -45,6 +48,17 @@ class Exported(ShownResult):
     def __getitem__(self, name: str) -> str:
         """Text of a file."""
         return self.texts[name]
+
+    def write(self, folder: str | Path) -> Path:
+        """Write the files, ``export.json`` and ``report.html``, all or none; returns the report's path.
+
+        An `InputError` where the folder holds the result that they are from, or another: its report would be replaced.
+        """
+        for document in (WRITTEN[verb][0] for verb in ("identify", "sample")):
+            if (Path(folder) / document).is_file():
+                where = argument("folder", str(folder))
+                raise InputError(f"{where}: holds {document}, whose report would be replaced; name another folder")
+        return super().write(folder)
 
     def _beside(self) -> Files:
         return self.texts

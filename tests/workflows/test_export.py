@@ -559,6 +559,14 @@ def test_a_saved_result_gives_the_same_files(identified, tmp_path, capsys):
     assert "torque_offset@joint1.offset" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
+def test_the_report_of_the_result_itself_is_not_replaced(identified, tmp_path, capsys):
+    identified.write(tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert main(["export", str(tmp_path), "--to", "urdf", "--out", str(tmp_path)]) == 2
+    assert "holds estimate.json, whose report would be replaced; name another folder" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
 @pytest.fixture(scope="module")
 def posterior(tmp_path_factory):
     return bayesid.sample(arm(tmp_path_factory.mktemp("sampled"), "puma2", ("viscous_friction", "coulomb_friction")), draws=400)
