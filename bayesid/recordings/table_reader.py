@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 _SMALL = 8_000_000
 _BLOCK_ROWS = 200_000
 _BLOCK_BYTES = 1 << 24
-EMPTY = ["", "nan", "NaN", "NAN"]  # cells without a reading; any other text is a mistake
+#: Cells without a reading, as C, Python and Windows print them; any other text is a mistake.
+EMPTY = ["", *(sign + text for text in ("nan", "NaN", "NAN", "nan(ind)") for sign in ("", "-", "+"))]
 _LARGEST_TIME = 1e19  # [s]; nanoseconds since 1970, which are named as such, are below
 
 

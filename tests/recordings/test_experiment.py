@@ -212,6 +212,15 @@ def test_parquet_reads_as_csv_does(folder: Path) -> None:
         np.testing.assert_array_equal(array, getattr(read, name))
 
 
+@pytest.mark.parametrize("text", ["-nan", "nan(ind)", "-nan(ind)", "+NaN"])
+def test_a_number_that_c_prints_as_none_is_a_reading_that_is_missing(text: str, folder: Path) -> None:
+    rows = (folder / "validation.csv").read_text(encoding="utf-8").splitlines()
+    cells = rows[10].split(",")
+    rows[10] = ",".join([*cells[:1], text, *cells[2:]])
+    (folder / "validation.csv").write_text("\n".join(rows), encoding="utf-8")
+    assert load_experiment(folder).validation[0].table.dropped.tolist() == [9]
+
+
 def test_parquet_with_an_index_is_read_by_its_columns(folder: Path) -> None:
     """pandas writes the index as a column, and makes one of it again on reading: times were no column then."""
     pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")

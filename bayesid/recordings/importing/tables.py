@@ -15,7 +15,7 @@ import numpy as np
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, is_number, listed, one_line
 from bayesid.recordings.importing.stream import INFO, Source, Stream, array_columns, extra
-from bayesid.recordings.table_reader import count_lines
+from bayesid.recordings.table_reader import EMPTY, count_lines
 
 _SEPARATORS = (",", ";", "\t", "|")
 _SNIFFED = 20  # lines that tell what separates cells
@@ -42,7 +42,7 @@ def read_csv(path: Path) -> Stream:
     try:
         frame: Any = pd.read_csv(
             path, sep=between, decimal=decimal, header=None, names=list(range(len(header))), skiprows=skipped + 1,
-            index_col=False, skipinitialspace=True, encoding="utf-8-sig", low_memory=False,
+            index_col=False, skipinitialspace=True, encoding="utf-8-sig", na_values=EMPTY, low_memory=False,
         )  # fmt: skip
     except (ValueError, OverflowError) as error:  # pandas' parser errors and Unicode's are ValueErrors too
         raise wrong(f"cannot be read as CSV ({cut(one_line(str(error)), 80)})", remedy="check the file") from None
