@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.errors import InputError
 from bayesid.estimators.parameters import HasParameters, Parameters, central_interval
 from bayesid.regression.linalg import standard_deviations
 from bayesid.regression.regression import Regression
@@ -167,6 +168,12 @@ class Estimate(HasParameters):
         """Covariance of the base parameters (r, r); None where no honest one exists."""
         r = self.base.rank
         return None if self.full_covariance is None else self.full_covariance[:r, :r]
+
+    def stated_covariance(self) -> np.ndarray:
+        """``full_covariance``; an `InputError` with the reason where there is none."""
+        if self.full_covariance is None:
+            raise InputError(f"{self.method} has no covariance: {self.interval_reason}")
+        return self.full_covariance
 
     @property
     def full_std(self) -> np.ndarray:

@@ -267,7 +267,9 @@ def make_estimate(
         undetermined=factor.undetermined,
         weak=weak,
         interval="none" if exact else "confidence",
-        interval_reason=f"{factor.rows} numbers leave no residual to tell the noise by; record longer" if exact else "",
+        interval_reason=f"{factor.rows} numbers leave no residual to tell the noise by; record longer, or more poses"
+        if exact
+        else "",
         noise=weights.noise,
         rows=factor.rows,
         condition_number=condition_number(factor.matrix),

@@ -207,7 +207,7 @@ def simulate(
         true = perturbed_links(replace(robot, nominal=true), perturb, streams[1])
     plant = complete_effects(robot, effects, setup.effect_values, setup.library)
     recorder = _complete(recorder or Recorder(), setup)
-    if np.size(recorder.resolution) not in (1, robot.n):
+    if np.size(recorder.resolution or 0.0) not in (1, robot.n):
         raise InputError(f"resolution = {recorder.resolution}: give one number, or one for each of {robot.n} joints")
     bench = _Bench(setup, true, plant, recorder, np.random.default_rng(streams[2]), _middle(trajectories))
     resolution = float(np.max(recorder.resolution or 0.0))

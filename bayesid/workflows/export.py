@@ -250,7 +250,9 @@ def _add_code(
             f"No torque was read of {listed(found.unread)}: friction and what else acts inside are not in inverse_dynamics."
         )
     if model.covariance is None:
-        made.warnings.append(f"{found.method} has no covariance, so the torques have no band; take another method, such as wls.")
+        made.warnings.append(
+            f"{found.method} has no covariance, so the torques have no band; take wls, of more readings than parameters."
+        )
 
 
 def _ranges(found: IdentifiedRobot, made: _Making) -> None:

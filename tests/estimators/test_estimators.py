@@ -233,6 +233,8 @@ def test_as_many_readings_as_parameters_leave_no_interval(method):
     estimate = fit(Regression.from_arrays(matrix, target), method)
     assert estimate.interval == "none" and estimate.interval_reason
     assert np.isnan(estimate.std).all() and np.isnan(estimate.low).all()
+    with pytest.raises(InputError, match=f"{method} has no covariance: "):
+        estimate.stated_covariance()
     if method != "tsvd":
         np.testing.assert_allclose(estimate.values, np.linalg.solve(matrix.reshape(4, 4), target.ravel()), rtol=1e-6)
         assert fit(Regression.from_arrays(matrix, target, noise_std=[1.0, 0.1]), "wls").interval == "confidence"

@@ -343,9 +343,8 @@ def linear_errors(bench: Bench, quiet: Errors, seed: int) -> LinearErrors:
     """The formula's parts, from errors of twins with a perfect sensor and one twin with perfect encoders."""
     perfect = replace(own_setting(bench), encoder=0.0)
     _, estimate = fit_twin(bench, perfect, twin(bench, perfect, _SEEDS * (seed + 1)))
-    assert estimate.full_covariance is not None
     columns = np.nan_to_num(quiet.columns)  # what is not determined has no covariance by the formula, either
-    return LinearErrors(bench, estimate.full_covariance, np.cov(columns.T), columns.mean(axis=0))
+    return LinearErrors(bench, estimate.stated_covariance(), np.cov(columns.T), columns.mean(axis=0))
 
 
 def _sweep(

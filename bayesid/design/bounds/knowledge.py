@@ -228,7 +228,8 @@ def known_from(
     """
     if covariance is None:
         raise InputError(
-            f"method {method} has no covariance, so nothing can be bounded with it; take another, such as wls, or sample"
+            f"method {method} has no covariance, so nothing can be bounded with it; take wls, or sample, of more readings than "
+            "parameters"
         )
     rank = problem.row_model.base.rank
     if not np.any(np.diag(covariance) > 0.0):

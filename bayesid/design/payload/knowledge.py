@@ -95,14 +95,14 @@ def from_sensor(problem: Problem, estimate: Estimate, body: int) -> BodyKnowledg
     base = estimate.base
     shown = ~estimate.undetermined[: base.rank]
     matrix = base.matrix[:, 10 * body : 10 * body + 10][shown]
-    assert estimate.covariance is not None
+    known = estimate.stated_covariance()[: base.rank, : base.rank]
     freedom = degrees_of_freedom(problem, estimate)
     weights = 1.0 + _WEIGHTS / freedom
     if has_valley(problem):
         own = base.matrix[:, 10 * body : 10 * body + 10]
         values, covariance = along_mass(problem, estimate, np.linalg.pinv(own)[0], half_interval(freedom), weights)
         return BodyKnowledge.of(own, values, covariance, freedom)
-    return BodyKnowledge.of(matrix, estimate.values[shown], weights * estimate.covariance[np.ix_(shown, shown)], freedom)
+    return BodyKnowledge.of(matrix, estimate.values[shown], weights * known[np.ix_(shown, shown)], freedom)
 
 
 def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float) -> tuple[BodyKnowledge, float]:
@@ -113,8 +113,7 @@ def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float
     base = estimate.base
     shown = ~estimate.undetermined[: base.rank]
     matrix, nominal = base.matrix[shown], problem.experiment.robot.nominal
-    assert estimate.covariance is not None
-    noise = estimate.covariance[np.ix_(shown, shown)]
+    noise = estimate.stated_covariance()[: base.rank, : base.rank][np.ix_(shown, shown)]
     doubt = np.zeros_like(noise) if rel_std == 0 else matrix @ Prior.warped(nominal, rel_std).covariance @ matrix.T
     own, values = matrix[:, 10 * body : 10 * body + 10], estimate.values[shown] - matrix @ nominal.ravel()
     known = BodyKnowledge.of(own, values, noise + doubt)

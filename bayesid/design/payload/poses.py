@@ -108,8 +108,7 @@ def _reached(now: tuple[float, float], wanted: tuple[float, float]) -> bool:
 
 def _open(estimate: Estimate) -> np.ndarray:
     """Covariance of all that was estimated, wide where the data say nothing (p, p)."""
-    assert estimate.full_covariance is not None
-    covariance = np.array(estimate.full_covariance)
+    covariance = np.array(estimate.stated_covariance())
     size = np.sqrt(np.diag(covariance)[~estimate.undetermined].max(initial=1.0))
     covariance[estimate.undetermined] = covariance[:, estimate.undetermined] = 0.0
     covariance[np.diag_indices(len(covariance))] += np.where(estimate.undetermined, _OPEN * size**2, 0.0)

@@ -157,8 +157,7 @@ class Reference:
     @cached_property
     def covariance(self) -> np.ndarray:
         """Covariance of `solution` (p, p), dispersion included; as vague as bodies and effects are where it says nothing."""
-        covariance, hidden = self.estimate.full_covariance, self.estimate.undetermined
-        assert covariance is not None
+        covariance, hidden = self.estimate.stated_covariance(), self.estimate.undetermined
         if not hidden.any():
             return covariance
         weights = learn_weights(self.problem.regression)
