@@ -241,8 +241,11 @@ def _joints(check: Inspection, units: Sequence[str]) -> ShownTable:
     for j, name in enumerate(robot.joint_names):
         ends, largest = (robot.lower[j], robot.upper[j]), (robot.velocity_limit[j], robot.effort_limit[j])
         kind = "sliding" if robot.prismatic[j] else "turning"
-        rows.append([f"q{j + 1}", name, kind, *map(number, ends), units[j], *map(number, largest)])
-    return ShownTable(["", "joint", "type", "lowest", "highest", "unit", "speed limit", "effort limit"], rows, "- - - n n - n n")
+        speed, effort = map(number, largest)
+        limits = [speed, f"{units[j]}/s", effort, _unit(f"tau{j + 1}", robot.prismatic)]
+        rows.append([f"q{j + 1}", name, kind, *map(number, ends), units[j], *limits])
+    head = ["", "joint", "type", "lowest", "highest", "unit", "speed limit", "unit", "effort limit", "unit"]
+    return ShownTable(head, rows, "- - - n n - n - n -")
 
 
 def _bodies(check: Inspection) -> ShownTable:

@@ -14,7 +14,7 @@ from bayesid.rounding import number, percent, with_half
 from bayesid.section import long
 from bayesid.workflows.check import check, noise_at_rest, sample_noise
 from tests.report_pages import read
-from tests.robots import lwr4, wrist_sensor_arm, write
+from tests.robots import lwr4, prismatic_arm, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 LOOKS_AT_FIGURES = True
@@ -184,6 +184,15 @@ def test_poses_of_a_wrist_sensor(tmp_path):
     assert found.sensor_sets[0].available and "poses at rest" in found.sensor_sets[0].name
     assert found.sensor_sets[0].base.rank == bayesid.identify(poses).base.rank
     assert "wrist_ft" in read(check_report(found)).text
+
+
+def test_check_tells_limits_of_a_joint_in_its_own_units(tmp_path, undrawn):
+    robot = load_robot(write(tmp_path, prismatic_arm()))
+    moved = Motion("identification", "identification", recording(robot, None, fourier(robot, 5, 4.0, speed=0.5)))
+    html = check_report(check(experiment(robot, [moved])))
+    words = " ".join(re.sub("<[^>]+>", " ", html).split())
+    assert re.search(r"rail sliding \S+ \S+ m 1\S* m/s 800\S* N q2", words)
+    assert re.search(r"swing turning \S+ \S+ rad 2.5\S* rad/s 150\S* N m q3", words)
 
 
 def test_check_says_what_is_in_the_folder(puma, tmp_path):
