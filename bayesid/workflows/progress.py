@@ -47,7 +47,10 @@ def shows_progress(verb: Callable[_P, _R]) -> Callable[_P, _R]:
 
     @functools.wraps(verb)
     def shown(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        given = signature.bind(*args, **kwargs)
+        try:
+            given = signature.bind(*args, **kwargs)
+        except TypeError as error:
+            raise TypeError(f"{verb.__name__}() {error}") from None
         require_seed(given.arguments.get("seed", 0))
         if given.arguments.get("progress", SHOWN) is not SHOWN:
             return verb(*args, **kwargs)

@@ -30,6 +30,11 @@ def test_every_verb_shows_its_stages_by_itself(name):
     assert verb.__wrapped__.__doc__ == verb.__doc__
 
 
+def test_an_argument_that_a_verb_does_not_have_is_told_with_its_name():
+    with pytest.raises(TypeError, match=r"^identify\(\) got an unexpected keyword argument 'filter_l'$"):
+        bayesid.identify("my-arm", filter_l=10.0)
+
+
 def test_what_takes_longer_is_shown_a_line_a_stage(monkeypatch, capsys):
     monkeypatch.setattr(progress, "DELAY", 0.02)
     monkeypatch.setattr(progress, "_REFRESHED", 0.005)
