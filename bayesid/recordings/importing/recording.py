@@ -26,6 +26,7 @@ from bayesid.recordings.table import GAP, JOINT_GROUPS, WRENCH_COLUMNS, Table
 _FASTER = 1.5
 _ALIKE = 1.1  # rates that count as equal
 _READINGS = ("tau", "wrench")
+_OPTIONAL = ("v", "qr")
 _ARRAYS = {"numpy": read_npz, "mat": read_mat, "hdf5": read_hdf5}
 
 
@@ -99,7 +100,8 @@ def join(signals: Sequence[Signal], source: str) -> Joined:
     """Bring all signals to the times of the slowest of positions and readings; what shares those times stays as it is.
 
     Others are interpolated by cubic splines, readings of a faster topic averaged over a row's step. Nothing is filled in across
-    a gap or beyond an end: such rows are left out. An `InputError` where topics do not overlap in time.
+    a gap or beyond an end: such rows are left out, or velocities and commands where these would cost most rows. An `InputError`
+    where topics do not overlap in time.
     """
     candidates = [s for s in signals if s.quantity in ("q", *_READINGS) and len(s.times) > 1]
     if not candidates:
@@ -115,6 +117,9 @@ def join(signals: Sequence[Signal], source: str) -> Joined:
             values = signal.values
         else:
             values, there, text = _brought(signal, base)
+            if signal.quantity in _OPTIONAL and 2 * np.count_nonzero(inside & there) < np.count_nonzero(inside):
+                how.append(f"{signal.called}: none at most rows; not used")
+                continue
             inside &= there
             how.append(text)
         columns.setdefault(signal.quantity, []).append(values)
@@ -264,9 +269,12 @@ def make_recording(
                 "the rows in which it changes are used"
             )
     done += [f"rows are at the times of {joined.base.called}"] if joined.how else []
-    others = [joint for joint in moving if joint not in layout.joints]
-    found = positions_of(source.streams, stated, others, source.name) if others else {}
-    stand = {joint: at for joint, one in found.items() if (at := resting(one, stated, joint, source.name, sliding)) is not None}
+    others = [joint for joint in moving if joint not in layout.joints and joint not in locked]
+    try:
+        found = positions_of(source.streams, stated, others, source.name) if others else {}
+        stand = {name: at for name, one in found.items() if (at := resting(one, stated, name, source.name, sliding)) is not None}
+    except InputError as error:
+        raise InputError(f"{error}; a joint that is not used may be locked ({argument('locked')} {others[0]}=...)") from None
     return Recording(source, layout, tuple(clocks), tuple(signals), joined, (*done, *joined.how), stand)
 
 

@@ -70,6 +70,15 @@ def test_nothing_is_filled_in_across_a_gap_or_beyond_an_end():
         join([signal("q", 100.0), signal("wrench", 100.0, start=20.0, end=30.0)], "log")
 
 
+def test_velocities_of_few_rows_cost_no_rows():
+    """Nothing is fitted to them; the rows that lack them were left out."""
+    q, tau, v = signal("q", 100.0), signal("tau", 100.0), signal("v", 100.0, start=7.0)
+    joined = join([q, v, tau], "log")
+    assert len(joined.times) == len(q.times) and "v" not in joined.values
+    assert joined.how == ("velocities of /v: none at most rows; not used",)
+    assert len(join([q, signal("v", 100.0, start=3.0), tau], "log").times) == 700
+
+
 @pytest.fixture(scope="module")
 def known(tmp_path_factory: pytest.TempPathFactory) -> Known:
     return make_known(tmp_path_factory.mktemp("known"))

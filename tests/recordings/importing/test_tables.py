@@ -361,6 +361,19 @@ def test_a_wrench_that_is_not_whole_is_missed_where_a_sensor_is_stated(known, tm
     assert "log: no wrench of all six axes is found although a sensor is stated: torques alone are used" in imported.done
 
 
+@pytest.mark.parametrize("gripper", ["twice", "open", np.inf])
+def test_a_joint_that_is_not_used_may_be_locked_whatever_is_recorded_of_it(gripper, known, tmp_path):
+    frame = by_joint(known, time=known.t)
+    for topic in ("state", "raw")[: 1 + (gripper == "twice")]:
+        frame[f"{topic}/gripper/position"] = 0.1 if gripper == "twice" else gripper
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(InputError, match=r"; a joint that is not used may be locked \(locked gripper=...\)"):
+        only(tmp_path / "log.csv", known, joints=JOINTS)
+    imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, joints=JOINTS, locked={"gripper": 0.2})
+    assert imported.experiment.locked["gripper"] == 0.2
+    np.testing.assert_array_equal(imported.experiment.motions[0].table.positions, known.q)
+
+
 def test_several_columns_are_named_with_commas_between_as_on_the_command_line(known, tmp_path):
     """Names of columns are listed, or numbered as a refusal lists them: ``q_{0}``, of a wrench, too."""
     frame = pd.DataFrame({"at": known.t, "a": known.q[:, 0], "b, turned": known.q[:, 1], "tau_0": known.tau[:, 0]})
