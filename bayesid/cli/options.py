@@ -209,7 +209,7 @@ def bounded(method, bounds: Path | None, loaded):
     if bounds is None:
         return method
     if not isinstance(method, Physical):
-        raise InputError(f"--bounds is given with --method {method.name}, which takes none; add --method sdp")
+        raise InputError(f"--bounds is for an estimator that keeps to bounds, which {method.name} does not; add --method sdp")
     return replace(method, bounds=load_bounds(bounds, loaded.robot, loaded.locked))
 
 

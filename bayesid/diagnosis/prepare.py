@@ -68,9 +68,10 @@ def prepare_data(
     usable = [m for m in readable if (m.kind == "poses") == at_rest]
     chosen = [m for m in usable if m.name in names]
     if chosen and at_rest and channel != "wrench":
+        sensed = experiment.sensor is not None
         raise InputError(
-            "only poses at rest are to be fitted, where friction holds with whatever torque it takes; record a trajectory, or "
-            f"take the wrench of a sensor with {argument('channel', 'wrench')}"
+            "only poses at rest are to be fitted, where friction holds with whatever torque it takes; record a trajectory"
+            + (f", or take the wrench of the sensor with {argument('channel', 'wrench')}" if sensed else "")
         )
     if not chosen:
         raise InputError(

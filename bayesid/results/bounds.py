@@ -425,6 +425,8 @@ class ControllerBounds(ShownResult):
             return "no joint torques were recorded"
         if missing := [n for k, n in enumerate(experiment.robot.joint_names) if k not in experiment.torque_joints]:
             return f"torques of {', '.join(missing)} were not recorded"
+        if all(m.kind == "poses" for m in experiment.motions if m.table.torques is not None):
+            return "torques were recorded of poses at rest only"
         return "no motion with torques is long enough"
 
     def _facts(self) -> list[str]:

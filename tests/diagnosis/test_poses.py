@@ -70,8 +70,12 @@ def test_nothing_is_named_where_nothing_is_missing(seed: int, tmp_path: Path) ->
 
 
 def test_torques_of_poses_hold_friction_and_say_nothing(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="where friction holds with whatever torque"):
-        bayesid.diagnose(recorded(tmp_path, {}), channel="torque")
+    poses = recorded(tmp_path, {})
+    with pytest.raises(InputError, match="where friction holds with whatever torque.*, or take the wrench of the sensor with"):
+        bayesid.diagnose(poses, channel="torque")
+    bare = tuple(replace(m, table=replace(m.table, wrench=None)) for m in poses.motions)
+    with pytest.raises(InputError, match="record a trajectory$"):
+        bayesid.diagnose(replace(poses, motions=bare, sensor=None))
 
 
 def test_poses_that_leave_a_name_open_ask_for_no_planned_motion(shared: Callable[[str], Path]) -> None:

@@ -196,6 +196,9 @@ def test_what_is_said_to_be_missing_is_missing(robot, complete):
     partial = bayesid.bounds(bayesid.identify(replace(known, motions=tuple(second))), configurations=8)
     assert partial.remainder is None and "torques of joint1 were not recorded" in partial.headline
     assert not any("No joint torques" in w for w in partial.warnings) and "No joint torques" not in bounds_report(partial)
+    poses = [replace(m, kind="poses", table=m.table[::100]) for m in known.motions]
+    still = bayesid.bounds(bayesid.identify(replace(known, motions=tuple(poses), effects=())), configurations=8)
+    assert still.remainder is None and "torques were recorded of poses at rest only" in still.headline
 
 
 def test_a_joint_that_mostly_rests_has_a_band_there(robot):
