@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
@@ -13,7 +13,7 @@ import numpy as np
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.regressors import Kernel
-from bayesid.effects import Effect, MotionSegment, Point, linearised, readings
+from bayesid.effects import Effect, MotionSegment, Point, Term, linearised, reach_of, readings
 from bayesid.regression.segment import Segment
 from bayesid.robot.robot import Robot
 from bayesid.signals.filters import LowPass
@@ -101,9 +101,8 @@ class RowModel:
     def smoothed(self, segment: Segment, at: np.ndarray) -> MotionSegment:
         """Smoothed trajectory at times (N,) [s], from samples there and enough neighbours."""
         reach = OVERLAP * 0.5 / self.bandwidth
-        a = int(np.searchsorted(segment.times, at.min() - reach))
-        b = int(np.searchsorted(segment.times, at.max() + reach, side="right"))
-        return MotionSegment(at, *smooth(segment.times[a:b], segment.positions[a:b], self.bandwidth, at=at))
+        part = slice(segment.index(at.min() - reach), segment.index(at.max() + reach, "right"))
+        return MotionSegment(at, *smooth(segment.times[part], segment.positions[part], self.bandwidth, at=at))
 
     @cached_property
     def interpolated(self) -> np.ndarray:
@@ -145,15 +144,18 @@ class RowModel:
             first = last
         return out
 
+    def around(self, segment: Segment, first: int, last: int, terms: Sequence[Term]) -> tuple[int, int]:
+        """First and last sample (exclusive) whose motion effects need to be known for the samples first ... last - 1."""
+        if segment.poses:
+            return first, last
+        times = segment.times
+        reach = reach_of(terms, self.bandwidth, float(np.median(np.diff(times[:1000]))))
+        return segment.index(times[first] - reach), segment.index(times[last - 1] + reach, "right")
+
     def _states(self, segment: Segment, first: int, last: int) -> tuple[MotionSegment, int, int]:
         """The samples' motion and what the effects need of that around them: samples a ... b - 1, with a and b."""
         assert self.point is not None
-        a, b = first, last
-        if not segment.poses:
-            times = segment.times
-            reach = self.point.reach(self.effects, self.bandwidth, float(np.median(np.diff(times[:1000]))))
-            a = int(np.searchsorted(times, times[first] - reach))
-            b = int(np.searchsorted(times, times[last - 1] + reach, side="right"))
+        a, b = self.around(segment, first, last, self.point.terms(self.effects))
         states = replace(
             self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle, clear=self.clear
         )

@@ -47,19 +47,13 @@ class ProposalRows(RowModel):
     def about_point(self, segment: Segment, first: int, last: int) -> np.ndarray:
         """Rows of samples about the point: regressor, effects, proposals, shifted target (N, channels, p + 1)."""
         assert self.point is not None
-        a, b = first, last
-        if not segment.poses:
-            times = segment.times
-            terms = [*self.point.terms(self.effects), *(p.term for p in self.proposals)]
-            step = float(np.median(np.diff(times[:1000])))
-            reach = max((t.effect.reach(t.values, self.bandwidth, step) for t in terms), default=0.0)
-            a = int(np.searchsorted(times, times[first] - reach))
-            b = int(np.searchsorted(times, times[last - 1] + reach, side="right"))
+        terms = self.point.terms(self.effects)
+        a, b = self.around(segment, first, last, [*terms, *(p.term for p in self.proposals)])
         states = replace(self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle)
         read = segment.readings[a:b] if segment.gravity else segment.measured(a, b)
         robot, channels, point = self.robot, self.channels, self.point
         own = linearised(robot, channels, states, self.effects, point, self.base.independent, read, gravity=segment.gravity)
-        parts, terms = [*own[:2]], point.terms(self.effects)
+        parts = [*own[:2]]
         for p in self.proposals:
             found = columns(
                 robot, channels, states, point.links, terms, p.effect, tuple(p.about.at), gravity=segment.gravity
