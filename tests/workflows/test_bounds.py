@@ -228,7 +228,8 @@ def test_bad_input_is_one_line_and_exit_status_two(folder, runs, capsys, tmp_pat
         "another --channel": ["--estimate", str(folder / "estimate"), "--channel", "torque"],
         "another --motions": ["--estimate", str(folder / "estimate"), "--motions", "validation"],
         "another --filter-l": ["--posterior", str(folder / "posterior"), "--filter-l", "1"],
-        "keeps to bounds, which wls does not; add --method sdp": ["--bounds", "bounds.toml"],
+        "that take it; add --method sdp": ["--bounds", "bounds.toml"],
+        "keeps to bounds, which wls does not; add": ["--method", "wls", "--bounds", "bounds.toml"],
         "ask for fewer": ["--estimate", str(folder / "estimate"), "--urdfs", "100000"],
     }
     for told, options in cases.items():
