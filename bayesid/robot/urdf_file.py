@@ -184,7 +184,15 @@ def _checked(data: bytes, path: Path, notes: tuple[str, ...] = (), inside: dict 
         _check_numbers(element, known[name].kind, at_joint[name])
     root_link = _check_tree(links, known, wrong)
     bodies = {name: stated_body(element, partial(wrong, key=f"link {_cut(name)}")) for name, element in links.items()}
-    return UrdfFile(path, data, known, (*notes, *_doubts(bodies, root_link, path.name)), inside or {})
+    fixed: dict[str, list[str]] = {}
+    for joint in known.values():
+        fixed.setdefault(joint.parent, []).extend([joint.child] * (joint.kind == "fixed"))
+    still = [root_link]
+    for link in still:
+        still += fixed.get(link, ())
+    held = {*still}
+    moved = {name: body for name, body in bodies.items() if name not in held}
+    return UrdfFile(path, data, known, (*notes, *_doubts(moved, path.name)), inside or {})
 
 
 def _plain(element: ET.Element) -> dict[str, str]:
@@ -302,10 +310,9 @@ def stated_body(link: ET.Element, wrong: Wrong) -> np.ndarray:
     return inertia.from_mass_com_inertia(m, com, tensor)
 
 
-def _doubts(bodies: dict[str, np.ndarray], root: str, source: str) -> list[str]:
-    """What no physical link is: inertia without mass, or one that no distribution of mass has."""
+def _doubts(moved: dict[str, np.ndarray], source: str) -> list[str]:
+    """What no physical link of those that move is: inertia without mass, or one that no distribution of mass has."""
     out = []
-    moved = {name: body for name, body in bodies.items() if name != root}
     if moved and not any(body[0] > 0.0 for body in moved.values()):
         out.append(
             f"{source}: no link but the root has a mass, so nothing is known of the nominal robot; "

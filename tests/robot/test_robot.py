@@ -143,6 +143,17 @@ def test_unknown_joints(tree, arguments, words):
     assert all(word in str(error.value) for word in words)
 
 
+def test_a_body_that_cannot_be_is_doubted_where_it_moves_only(tmp_path):
+    body = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>'
+    links = "".join(f'<link name="{name}">{body}</link>' for name in ("base", "box", "lid", "arm", "hand"))
+    fixed = '<joint name="{1}_fixed" type="fixed"><parent link="{0}"/><child link="{1}"/></joint>'
+    turning = fixed.format("lid", "arm").replace('type="fixed">', 'type="continuous"><axis xyz="0 0 1"/>')
+    joints = [fixed.format("box", "lid"), fixed.format("arm", "hand"), turning, fixed.format("base", "box")]
+    robot = load_robot(write(tmp_path, f'<robot name="r">{links}{"".join(joints)}</robot>'))
+    (said,) = robot.description.warnings
+    assert "of links arm, hand;" in said
+
+
 def test_joints_are_in_the_order_of_the_file_along_their_chains(tmp_path):
     """Branches as the file lists them, where Pinocchio sorts them by name; a chain from its base, however it is listed."""
 
