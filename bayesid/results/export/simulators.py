@@ -84,8 +84,12 @@ def plain_urdf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dyn
             _fix(joint, kind, locked.get(name, 0.0))
         elif name in robot.joint_names:
             k = robot.joint_names.index(name)
-            if kind == "revolute" and not np.isfinite([robot.lower[k], robot.upper[k]]).all():
-                joint.set("type", "continuous")  # without limits it turns without end: others would hold it at zeros
+            if not np.isfinite([robot.lower[k], robot.upper[k]]).all():
+                # Without limits it moves without end: zeros, which mean none in a URDF, would hold it, or be warned of.
+                joint.set("type", "continuous" if kind == "revolute" else kind)
+                for limit in joint.findall("limit"):
+                    limit.attrib.pop("lower", None)
+                    limit.attrib.pop("upper", None)
     return root
 
 
@@ -302,10 +306,8 @@ def _add_joint(
     ET.SubElement(axis, "xyz").text = "1 0 0" if along is None else along.get("xyz", "1 0 0")
     if (limit := joint.find("limit")) is not None:
         stated = ET.SubElement(axis, "limit")
-        ends = {key: limit.get(key, "0") for key in ("lower", "upper")}
-        # Equal ends mean none in a URDF, here or in its reader; in SDF they would hold the joint there.
-        for key, end in ends.items() if kind != "continuous" and float(ends["lower"]) < float(ends["upper"]) else ():
-            ET.SubElement(stated, key).text = end
+        for key in ("lower", "upper") if {"lower", "upper"} & {*limit.keys()} else ():
+            ET.SubElement(stated, key).text = limit.get(key, "0")
         for key in ("effort", "velocity"):
             if float(limit.get(key, "0")) > 0.0:
                 ET.SubElement(stated, key).text = limit.get(key)
