@@ -109,7 +109,7 @@ def time_column(stream: Stream, stated: ColumnMap, source: str) -> tuple[str, st
             raise InputError(f"no column {what}", file=source, key="columns t", value=given, remedy=_near(wanted[0], [stream]))
     else:
         names = [column for column in stream.columns if _TIME.fullmatch(without_unit(column))]
-        names = names or [column for column in stream.columns if _TIME.fullmatch(without_unit(column).rpartition("/")[2])]
+        names = names or [column for column in stream.columns if _TIME.fullmatch(re.split(r"[/.]", without_unit(column))[-1])]
         names = [column for column in names if column == "t"] or names
     if len(names) != 1:
         what = f"times could be {listed(names)}" if names else "no column of times is found"

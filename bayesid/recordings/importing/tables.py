@@ -49,7 +49,7 @@ def read_csv(path: Path) -> Stream:
     if not len(frame):
         raise wrong("has a header but no rows", remedy="give one row per sample")
     columns = {name: frame[k].to_numpy() for k, name in enumerate(header) if name}
-    return Stream("", _by_joint(columns))
+    return Stream("", _with_stamps(_by_joint(columns)))
 
 
 def read_parquet(path: Path) -> Stream:
@@ -65,7 +65,7 @@ def read_parquet(path: Path) -> Stream:
         raise InputError(
             f"cannot be read as Parquet ({cut(one_line(str(error)), 80)})", file=path.name, remedy="write it again"
         ) from None
-    return Stream("", columns)
+    return Stream("", _with_stamps(columns))
 
 
 def _arrow_column(name: str, column: Any) -> dict[str, np.ndarray]:
@@ -87,7 +87,7 @@ def _arrow_column(name: str, column: Any) -> dict[str, np.ndarray]:
         return array_columns(name, values) if values.dtype.kind in "fiub" else {}
     if pa.types.is_struct(kind):
         out: dict[str, np.ndarray] = {}
-        for part, values in zip(kind, column.combine_chunks().flatten(), strict=True):
+        for part, values in zip(kind, column.flatten(), strict=True):
             out |= _arrow_column(f"{name}/{part.name}", values)
         return out
     return {name: column.to_pandas().to_numpy()}
@@ -151,6 +151,20 @@ def _is_remark(line: str, after: str) -> bool:
     begins = after.strip().split(separator)[0].strip()
     alike = line.strip().lstrip("#% ").count(separator) == after.strip().lstrip("#% ").count(separator)
     return line.lstrip().startswith(("#", "%")) and not is_number(begins) and not alike
+
+
+def _with_stamps(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Columns with those of stamps of ROS, whole seconds and the nanoseconds beyond, as one of nanoseconds."""
+    out = dict(columns)
+    for name, seconds in columns.items():
+        match = re.fullmatch(r"((.*?)[/._]?)secs?", name)
+        if match is None:
+            continue
+        beyond = next((other for word in ("nanosec", "nsec", "nsecs") if (other := match[1] + word) in columns), None)
+        if beyond is not None and seconds.dtype.kind in "iu" and columns[beyond].dtype.kind in "iu":
+            del out[name], out[beyond]
+            out[match[2] or "stamp"] = seconds.astype(np.int64) * 10**9 + columns[beyond].astype(np.int64)
+    return out
 
 
 def _by_joint(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -314,3 +314,17 @@ def test_a_list_without_a_number_is_a_row_without_a_reading(hole, known, tmp_pat
     frame.to_parquet(tmp_path / "log.parquet")
     table = bayesid.read_recording(tmp_path / "log.parquet", known.urdf, joints=JOINTS).experiment.motions[0].table
     np.testing.assert_array_equal(table.torques, np.delete(known.tau, 7, axis=0))
+
+
+def test_structures_within_structures_are_read_by_the_path(known, tmp_path):
+    """Messages of ROS as rows: a header with a stamp stands beside what is read, and ended the import."""
+    stamps = [{"stamp": {"sec": int(ns) // 10**9, "nanosec": int(ns) % 10**9}, "frame_id": "tool"} for ns in known.ns]
+    joints = [
+        {name: {"position": q[k], "effort": tau[k]} for k, name in enumerate(JOINTS)}
+        for q, tau in zip(known.q.tolist(), known.tau.tolist(), strict=True)
+    ]
+    table = pa.table({"t": known.t, "header": pa.array(stamps), "joint_states": pa.array(joints)})
+    pq.write_table(table, tmp_path / "log.parquet", row_group_size=300)
+    imported = bayesid.read_recording(tmp_path / "log.parquet", known.urdf, joints=JOINTS)
+    np.testing.assert_array_equal(imported.experiment.motions[0].table.torques, known.tau)
+    assert "header/stamp" in imported.recordings[0].recording.left_over

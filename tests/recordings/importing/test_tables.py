@@ -261,6 +261,17 @@ def test_a_joint_state_of_rostopic_is_read_by_its_names(known, tmp_path):
     np.testing.assert_array_equal(only(tmp_path / "log.csv", known).positions, known.q)
 
 
+@pytest.mark.parametrize("names", [("header.stamp.sec", "header.stamp.nanosec"), ("secs", "nsecs"), ("stamp_sec", "stamp_nsec")])
+def test_stamps_in_two_columns_are_one(names, known, tmp_path):
+    """Messages of ROS as rows have seconds and nanoseconds apart: seconds alone repeat."""
+    frame = by_joint(known)
+    frame[names[0]], frame[names[1]] = (START + known.ns) // 10**9, (START + known.ns) % 10**9
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf)
+    assert imported.recordings[0].recording.start == START
+    np.testing.assert_array_equal(imported.experiment.motions[0].table.times, known.t)
+
+
 def frame_with(known: Known, change) -> str:
     frame = by_joint(known, time=known.t).astype(object)
     change(frame)
