@@ -12,7 +12,9 @@ from math import inf
 from pathlib import Path
 from typing import TypedDict, Unpack, overload
 
-from bayesid.design.tell.choose import tell_search
+from bayesid.arguments import argument, names
+from bayesid.design.tell.choose import tell_effects, tell_search
+from bayesid.design.tell.rivals import parse_effects
 from bayesid.diagnosis.changes.findings import compare_with_reference
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.description.describe import describe, stands_alone
@@ -46,6 +48,7 @@ class DiagnoseChoices(TypedDict, total=False):
     options: FitOptions | None
     motions: str | Sequence[str] | None
     effects: str | Sequence[str] | None
+    tell: str | Sequence[str] | None
     seed: int
     settings: Settings | None
     progress: Progress | None
@@ -73,6 +76,7 @@ def diagnose(
     options: FitOptions | None = None,
     motions: str | Sequence[str] | None = None,
     effects: str | Sequence[str] | None = None,
+    tell: str | Sequence[str] | None = None,
     seed: int = 0,
     settings: Settings | None = None,
     progress: Progress | None = SHOWN,
@@ -99,6 +103,9 @@ def diagnose(
         Names of those to fit; default those with role ``identification``.
     effects
         Replaces ``[model] effects``.
+    tell
+        Two or more effects, ``name@where`` or ``name`` where there is one place: whatever the verdict, the next motion is then the
+        one that tells these apart, as `bayesid.tell` finds it.
     seed
         Of everything random: the encoders' repeated rounding and the bootstrap over the held-out motions.
     settings
@@ -124,6 +131,8 @@ def diagnose(
     since = time.perf_counter()
     with one_blas_thread():
         if reference is not None:
+            if tell is not None:
+                raise InputError(f"{argument('tell')} and {argument('reference')} are both given; leave one of them out")
             progress("reading")
             experiment, before = as_experiment(experiment), as_experiment(reference)
             progress("what changed since the reference")
@@ -147,6 +156,11 @@ def diagnose(
             return _decided(found, seed)
 
         whole, push = prepared(), None
+        rivals = names(tell)
+        if rivals is not None:  # what cannot be is refused before the long work
+            parse_effects(whole, rivals)
+            if all(segment.still for segment in whole.segments):
+                raise InputError(f"{argument('tell')}: only poses at rest are fitted, which say nothing of a motion's noise")
         suspected = find_push(fit(make_projector(whole, whole.terms), whole.terms)) if channel == "wrench" else None
         result = searched(whole)
         # What pushed with a constant force may have wavered: so much that it is worth a course?
@@ -169,7 +183,7 @@ def diagnose(
             out = _with_errors(_concluded(result, tried, imitate, seed), push, motions, progress)
             if push is not None:
                 out = _with_push(out, push, whole)
-            return _with_description(_with_next_motion(out, seed, progress), seed, progress)
+            return _with_description(_with_next_motion(out, rivals, seed, progress), seed, progress)
 
         diagnosis = concluded(imitate=False)
         if diagnosis.part is not None and stands_alone(diagnosis.description):
@@ -271,13 +285,13 @@ def _places(s: Search, model: Fit) -> tuple[Disagreement, ...]:
     return locate(data, data.segments, white, s.noise_level)
 
 
-def _with_next_motion(result: Diagnosis, seed: int, progress: Progress) -> Diagnosis:
-    """The diagnosis with the motion that would settle it, where it is ambiguous."""
-    if result.verdict != "ambiguous":
+def _with_next_motion(result: Diagnosis, rivals: Sequence[str] | None, seed: int, progress: Progress) -> Diagnosis:
+    """The diagnosis with the motion that tells ``rivals`` apart, or else that would settle it, where it is ambiguous."""
+    if rivals is None and result.verdict != "ambiguous":
         return result
     progress("the motion that tells them apart")
     try:
-        telling = tell_search(result.search, seed=seed)
+        telling = tell_search(result.search, seed=seed) if rivals is None else tell_effects(result.data, rivals, seed=seed)
     except InputError as error:  # a robot whose limits leave no room; the diagnosis stands
         return replace(result, next_experiment=f"{result.next_experiment} No motion was planned: {error}.")
     if telling is None:

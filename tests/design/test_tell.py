@@ -364,10 +364,25 @@ def test_limits_that_leave_no_room_cost_the_motion_and_not_the_diagnosis(diagnos
 
     monkeypatch.setattr(verb, "tell_search", refuse)
     bare = replace(diagnosis, telling=None, next_experiment="Move other joints.")
-    found = verb._with_next_motion(bare, 0, lambda _: None)
+    found = verb._with_next_motion(bare, None, 0, lambda _: None)
     assert found.verdict == "ambiguous" and found.telling is None
     assert found.next_experiment == "Move other joints. No motion was planned: no pose keeps the torque within its limit."
     assert "next_motion" not in found.next_experiment and found.to_dict()["next_motion"] is None
+
+
+def test_diagnose_tells_effects_apart_that_are_named(diagnosis, recorded):
+    """Whatever the verdict: here of two that nothing in it speaks of."""
+    from bayesid.workflows import diagnose as verb
+
+    settled = replace(diagnosis, verdict="nothing_missing", telling=None)
+    found = verb._with_next_motion(settled, ["base_tilt", "sensor_rotation"], 0, lambda _: None)
+    assert found.telling is not None and found.telling.rivals == ("base_tilt@base", "sensor_rotation@sensor")
+    assert "it decides between base_tilt@base and sensor_rotation@sensor" in found.next_experiment
+    for wrong, complaint in ((["base_tilt"], "two"), (["base_tilt", "rust"], "rust")):
+        with pytest.raises(InputError, match=complaint):
+            diagnose(recorded, tell=wrong)
+    with pytest.raises(InputError, match="tell and reference are both given"):
+        diagnose(recorded, reference=recorded, tell=["base_tilt", "sensor_rotation"])
 
 
 @pytest.mark.slow
@@ -379,6 +394,10 @@ def test_the_command_line(recorded, tmp_path):
     found = json.loads((out / "excitation.json").read_text(encoding="utf-8"))
     assert found["recordings"] == ["identification"] and found["tell"]["duration"] == pytest.approx(6.0)
     assert {p["true"] for p in found["tell"]["pairs"]} == {"base_tilt@base", "sensor_rotation@sensor"}
+    assert main(["diagnose", str(tmp_path / "arm"), *asked[:2], "--out", str(out)]) == 0
+    found = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    assert {p["true"] for p in found["next_motion"]["pairs"]} == {"base_tilt@base", "sensor_rotation@sensor"}
+    assert (out / found["next_motion"]["file"]).is_file()
 
 
 def test_nothing_recorded_yet(robot):
