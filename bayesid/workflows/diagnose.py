@@ -104,8 +104,8 @@ def diagnose(
     effects
         Replaces ``[model] effects``.
     tell
-        Two or more effects, ``name@where`` or ``name`` where there is one place: whatever the verdict, the next motion is then the
-        one that tells these apart, as `bayesid.tell` finds it.
+        Two or more effects, ``name@where`` or ``name`` where there is one place: whatever the verdict, the next motion is then
+        the one that tells these apart, as `bayesid.tell` finds it.
     seed
         Of everything random: the encoders' repeated rounding and the bootstrap over the held-out motions.
     settings
