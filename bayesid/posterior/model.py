@@ -30,7 +30,7 @@ from bayesid.errors import InputError
 from bayesid.estimators.dispersion import PARTS
 from bayesid.posterior.likelihood import NOISES, DofPrior, Likelihood, ScalePrior, student_log_likelihood, student_slopes
 from bayesid.posterior.trajectory import COLUMN, ROW, travel
-from bayesid.regression.linalg import column_lengths, undetermined
+from bayesid.regression.linalg import column_lengths, or_one, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
@@ -138,7 +138,7 @@ class PosteriorModel:
         """Refuse a posterior that is flat in some direction for ever, with an `InputError` that names the parameters."""
         stacked = np.concatenate([f[:, :-1] for f in self.likelihood.factors])
         if self.prior is not None:
-            size = np.maximum(np.sqrt(np.diag(self.prior.precision)), 1e-300)
+            size = or_one(np.sqrt(np.diag(self.prior.precision)))
             values = np.linalg.eigvalsh(self.prior.precision / np.outer(size, size))
             if values[0] <= 1e-12 * values[-1]:
                 raise InputError("prior: its precision is singular; give every link parameter a limit")
@@ -358,10 +358,12 @@ class PosteriorModel:
     @property
     def theta_names(self) -> tuple[str, ...]:
         """Names of the coordinates (q,)."""
-        linear = [f"log {n}" if k in self.bounded else n for k, n in enumerate(self.linear_names)]
-        if self.bodies:
-            bodies = [self.linear_names[10 * k].rpartition(".")[0] for k in range(self.bodies)]
-            linear[: 10 * self.bodies] = [f"{b}.{n}" for b in bodies for n in LOG_CHOLESKY]
+        names = self.linear_names
+        bodies = self.prior.bodies if self.bodies and self.prior is not None else ()
+        called = [names[body[0]].rpartition(".")[0] or f"body{k}" for k, body in enumerate(bodies, 1)]
+        rest = np.setdiff1d(np.arange(len(names)), [column for body in bodies for column in body]).tolist()
+        linear = [f"{body}.{n}" for body in called for n in LOG_CHOLESKY] + [names[k] for k in rest]
+        linear = [f"log {n}" if k in self.bounded else n for k, n in enumerate(linear)]
         return (*linear, *(f"log scale {n}" for n in self.scale_names), *(("log nu",) if self.dof_free else ()))
 
     def log_density(self, theta: np.ndarray) -> np.ndarray:

@@ -149,6 +149,9 @@ def run(
     tenth and goes on from there to ``resume``; ``tell`` is called with how far it is, in words. An `InputError` where numbers
     are out of range, or a checkpoint is of another run.
     """
+    for name, number in (("chains", chains), ("draws", draws), ("longest", longest)):
+        if not isinstance(number, (int, np.integer)):
+            raise InputError(f"{argument(name, number)}: give a whole number")
     if chains < 2:
         raise InputError(f"{argument('chains', chains)}: at least 2 are needed to see whether they agree")
     if draws < _FEWEST * chains:

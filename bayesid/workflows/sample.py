@@ -176,6 +176,8 @@ def sample(
 def _prior(regression: Regression, prior: str | Prior | None, std: float | None) -> tuple[Prior | None, float | None]:
     """The prior asked for, or the default one, and its relative standard deviation."""
     if isinstance(prior, Prior):
+        if std is not None:
+            raise InputError(f"{argument('prior_std', std)} is given with a Prior, which states its own; leave it out")
         return prior, None
     stated = regression.knowledge.inertia_rel_std
     if std is not None and not (np.isfinite(std) and std > 0):

@@ -14,6 +14,7 @@ from bayesid.estimators.factor import whitened
 from bayesid.estimators.weights import learn_weights
 from bayesid.posterior.likelihood import DofPrior, ScalePrior
 from bayesid.posterior.model import (
+    LOG_CHOLESKY,
     PosteriorModel,
     entries_map,
     from_log_cholesky,
@@ -26,6 +27,7 @@ from bayesid.posterior.result import Posterior
 from bayesid.posterior.run import Chains, Convergence, choose_engine
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
+from bayesid.robot.prior import Prior
 from tests.posterior_cases import BODY, one_body, regression, unrestricted
 
 
@@ -252,3 +254,32 @@ def test_a_channel_that_parameters_can_fit_exactly_keeps_a_scale():
 def test_what_is_no_seed_is_refused(seed):
     with pytest.raises(InputError, match=f"seed = {seed}: give a whole number of at least 0"):
         bayesid.sample(regression(), seed=seed)
+
+
+def test_coordinates_are_named_in_the_order_in_which_they_are():
+    """A body behind another column: its log-Cholesky parameters come first all the same."""
+    rng, mean = np.random.default_rng(0), np.array([0.3, *BODY, -0.2])
+    matrix = rng.normal(size=(60, 2, 12))
+    names = ["friction", *[f"body.{n}" for n in inertia.PARAMETERS], "offset"]
+    rows = Regression.from_arrays(matrix, matrix @ mean + 0.1 * rng.normal(size=(60, 2)), parameter_names=names)
+    own = Prior.nominal(BODY, 0.3)
+    precision = np.eye(12)
+    precision[1:11, 1:11] = own.precision
+    model = PosteriorModel.of(rows, Prior(mean, precision, (tuple(range(1, 11)),)))
+    called = model.theta_names
+    assert called[:10] == tuple(f"body.{n}" for n in LOG_CHOLESKY) and called[10:12] == ("friction", "offset")
+    theta = model.to_theta(np.concatenate([mean, np.ones(2)]))
+    assert_allclose([theta[called.index(n)] for n in ("friction", "offset")], [0.3, -0.2])
+    loose = Prior(mean, np.diag([0.0, *np.ones(11)]), (tuple(range(1, 11)),))
+    with pytest.raises(InputError, match="its precision is singular"):
+        PosteriorModel.of(rows, loose)
+    with pytest.raises(InputError, match="prior_std=0.1 is given with a Prior, which states its own"):
+        bayesid.sample(rows, prior=own, prior_std=0.1)
+
+
+@pytest.mark.parametrize(
+    "given", [{"draws": 400.5}, {"draws": "400"}, {"chains": 2.5}, {"sampler": bayesid.Sampler(longest=1.5)}]
+)
+def test_counts_are_whole_numbers(given):
+    with pytest.raises(InputError, match="give a whole number"):
+        bayesid.sample(regression(), **given)
