@@ -50,7 +50,7 @@ def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterato
     the same version of bayesid, and files of recordings under the same path. An `InputError` where both are given, Dask is not
     installed, or no scheduler answers at the address.
     """
-    if workers is not None and workers < 1:
+    if workers is not None and (not hasattr(workers, "__index__") or workers < 1):
         raise InputError(f"{argument('workers', workers)}: give a number of processes of at least 1")
     if scheduler is not None and workers is not None:
         raise InputError(f"{argument('workers')} and {argument('scheduler')} are both given: a cluster has workers of its own")

@@ -201,7 +201,7 @@ def _prior(regression: Regression, prior: str | Prior | None, std: float | None)
     rel_std = std or stated
     if not rel_std:
         raise InputError(
-            f"{argument('prior', 'nominal')}: the experiment states no inertia_rel_std; add {argument('prior_std', 0.3)}"
+            f"{argument('prior', 'nominal')}: the experiment states no inertia_rel_std above 0; add {argument('prior_std', 0.3)}"
         )
     return Prior.warped(regression.knowledge.nominal_links, rel_std), rel_std
 
