@@ -196,20 +196,20 @@ def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> 
     r = regression.base.rank
     effects, matrix = factor.matrix[:, r:], factor.matrix[:, :r]
     target = target_from_nominal(regression, factor)
-    if effects.shape[1]:
-        basis = np.linalg.qr(effects)[0]
-        project = np.eye(len(target)) - basis @ basis.T
-    else:
-        project = np.eye(len(target))
+    basis, shown, _ = np.linalg.svd(effects / column_lengths(effects), full_matrices=False)
+    basis = basis[:, shown > UNSEEN * shown.max(initial=0.0)]  # an effect that never acts takes no direction from the others
+    project = np.eye(len(target)) - basis @ basis.T
     length = column_lengths(project @ matrix, 1e-13)
     u, s, vt = np.linalg.svd(project @ matrix / length, full_matrices=False)
+    seen = s > UNSEEN * s.max(initial=0.0)
+    u, s, vt = u[:, seen], s[seen], vt[seen]
     rotated = u.T @ project @ target
     floor = factor.least_squares + max(float(np.sum((project @ target) ** 2) - rotated @ rotated), 0.0)
 
     def gcv(k: float) -> float:
         kept = inverse(s, k) * s
         rss = floor + np.sum(((1.0 - kept) * rotated) ** 2)
-        left = factor.rows - effects.shape[1] - kept.sum()
+        left = factor.rows - basis.shape[1] - kept.sum()
         return float(rss / left**2) if left > 0.0 else np.inf
 
     if given is not None:

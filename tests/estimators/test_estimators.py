@@ -16,7 +16,7 @@ from bayesid.regression.row_cache import RowCache
 from bayesid.robot.robot import load_robot
 from bayesid.signals.filters import LowPass
 from tests.robots import panda, ur5, write
-from tests.simulated import Motion, Sensor, experiment, fourier, recording
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 NAMES = ["fx", "mx"]
 
@@ -253,3 +253,17 @@ def test_few_poses_do_not_seem_to_tell_a_combination_of_channels_without_noise(p
         estimate = fit(made, "gls")
         errors.append((estimate.values - np.arange(1.0, 5.0)) / estimate.std)
     assert np.mean(np.abs(errors) < 1.96) > 0.85
+
+
+def test_regularised_estimators_leave_what_no_row_shows_nominal(tmp_path):
+    """At full rank, and without a penalty, they are least squares there, too: base parameters of 1e14 and of nan were given."""
+    robot = puma2(tmp_path)
+    times, *motion = fourier(robot, 1, duration=6.0, rate=60.0)
+    parked = (times, *(x * [0.0, 1.0] for x in motion))  # the first joint stands still
+    table = recording(robot, None, parked, torque_std=0.05)
+    arm = experiment(robot, [Motion("identification", "identification", table)], effects=("viscous_friction",))
+    rows = prepare(arm, FitOptions(channel="torque")).regression
+    plain = fit(rows, "ols")
+    assert plain.undetermined.any()
+    for method in (Ridge(strength=0.0), TruncatedSVD(rank=rows.base.rank)):
+        np.testing.assert_allclose(fit(rows, method).solution, plain.solution, rtol=1e-5, atol=1e-7)
