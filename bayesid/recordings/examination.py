@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import Finding, listed
+from bayesid.recordings.complaints import Finding, columns_of, listed
 from bayesid.recordings.motion import Motion
 from bayesid.recordings.motion_checks import (
     MATCH,
@@ -188,8 +188,8 @@ _SLACK = 0.5
 def unwrapped(table: Table, robot: Robot, kind: str) -> tuple[Table, str | None]:
     """Undo wraps of turning joints, and take off the whole turn by which readings are outside the joint's limits.
 
-    Rows of the kind ``poses`` do not follow each other. Returned are the table and a note, or the same table and None where
-    there was nothing to undo.
+    Commands, which may wrap where positions do not, follow these. Rows of the kind ``poses`` do not follow each other. Returned
+    are the table and a note, or the same table and None where there was nothing to undo.
     """
     positions, wrapped, shifted = np.array(table.positions), {}, []
     for j in np.flatnonzero(~robot.prismatic).tolist():
@@ -203,13 +203,17 @@ def unwrapped(table: Table, robot: Robot, kind: str) -> tuple[Table, str | None]
         if np.any(whole):
             shifted.append(j)
         positions[:, j] = q - TURN * whole
-    if not wrapped and not shifted:
-        return table, None
-    commanded = table.commanded
+    commanded, followed = table.commanded, []
     if commanded is not None:
         turns = np.round((positions - commanded) / TURN) * ~robot.prismatic
         commanded = commanded + TURN * turns
+        followed = [f"qr{j + 1}" for j in np.flatnonzero(turns.any(axis=0))]
     joints = sorted({*wrapped, *shifted})
+    if not joints and not followed:
+        return table, None
+    if not joints:
+        notes = f"{table.source}: {columns_of(followed)}: whole turns off the positions; taken off: the same poses"
+        return replace(table, commanded=commanded), notes
     place = f"{table.source}: {joint_columns(robot, joints)}"
     if wrapped:
         first = min(wrapped.values())

@@ -6,6 +6,7 @@ import math
 import pickle
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,12 @@ import pytest
 
 import bayesid
 from bayesid.errors import InputError
-from bayesid.recordings.experiment import load_experiment
+from bayesid.recordings.experiment import Experiment, Motion, load_experiment
 from bayesid.recordings.motion_checks import Timing
 from bayesid.recordings.table import Table
 from bayesid.recordings.writer import write_experiment
 from tests.malformed import DATA, FOLDERS, cell, table, toml, urdf, write_good
+from tests.simulated import puma2
 
 
 @pytest.fixture
@@ -222,6 +224,20 @@ def wrap(frame: pd.DataFrame) -> pd.DataFrame:
     """Both angles as an encoder of one turn counts them, from a start near its end."""
     turned = frame[["q1", "q2"]] + [2.9, -3.0]
     return frame.assign(**np.mod(turned + np.pi, 2.0 * np.pi) - np.pi)
+
+
+def test_commands_that_wrap_follow_positions_that_do_not(tmp_path: Path) -> None:
+    """A drive counts its turns and a planner does not: instruments of method iv jumped by a turn, and told nothing any more."""
+    robot = puma2(tmp_path)
+    t = np.arange(1000) / 125.0
+    q = np.column_stack([1.2 * np.sin(t), 1.5 * t])
+    free = replace(robot, lower=np.full(2, -np.inf), upper=np.full(2, np.inf))
+    wrapped = (q + np.pi) % (2.0 * np.pi) - np.pi
+    for commanded, notes in ((q, []), (wrapped, ["one: column qr2: whole turns off the positions; taken off: the same poses"])):
+        motion = Motion("one", "identification", Table(t, q, torques=np.cos(q), commanded=commanded, source="one"))
+        experiment = Experiment("free", free, (motion,))
+        np.testing.assert_allclose(experiment.motions[0].table.commanded, q, atol=1e-12)
+        assert [finding.text for finding in experiment.findings] == notes
 
 
 def test_an_angle_that_wraps_is_unwrapped_and_told_once(folder: Path) -> None:
