@@ -5,6 +5,7 @@ A course that is later than another of the same quantity is so by the lag of the
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -81,6 +82,9 @@ def table_clock(stream: Stream, column: str, unit: str | None, source: str, pose
     if values.dtype.kind == "m":  # durations, whose unit is known
         seconds = np.where(np.isnat(values), np.nan, values / np.timedelta64(1, "s"))
         return RowTimes("column", f"{name} (durations)", seconds, None, column=column)
+    if values.dtype.kind not in "fiubM" and unit != "iso":
+        with contextlib.suppress(TypeError, ValueError):  # numbers as texts
+            values = values.astype(np.float64)
     if values.dtype.kind not in "fiubM" or unit == "iso":
         values = _dates(values, column, source)
     if values.dtype.kind == "M":

@@ -258,10 +258,11 @@ def test_a_refusal_names_what_may_be_meant_first(known, tmp_path):
 
 
 #: Times as arrays of kinds whose arithmetic is not that of floats: whole numbers without a sign, which lack what is below zero,
-#: short floats, and durations.
+#: short floats, texts, and durations.
 TIMES = {
     "t uint64": lambda known: (START + 200 + known.ns).astype(np.uint64),  # nearest float: 56 ns later
     "t_ms float32": lambda known: (1e6 + known.t * 1e3).astype(np.float32),
+    "t texts": lambda known: known.t.astype(str),
     "t m8": lambda known: known.ns.astype("m8[ns]"),
 }
 
