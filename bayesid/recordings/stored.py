@@ -30,6 +30,7 @@ _LARGEST_PART = 300_000_000
 _LINES_BYTES = 1 << 25  # of a CSV file that are read at once
 #: Rows of the excerpt that stands for the recording where one is looked at as a whole, in so many pieces.
 _EXCERPT_ROWS, _PIECES = 200_000, 8
+_STEPS = 1000  # that tell the usual one
 #: Parts that are kept in memory: a run of samples often goes over the end of one.
 _KEPT = 2
 
@@ -193,8 +194,12 @@ class _Scan:
 
 def _scanned(layout: _Layout, parts: list[FilePart], joints: int) -> StoredTable:
     """The table, once every part has been checked."""
-    times = _numbers(layout, parts[0])[:, 0]
-    step = usual_step(times[~np.isnan(times)])
+    times = np.zeros(0)
+    for part in parts:  # the first, unless it is a few rows
+        times = np.append(times, (here := _numbers(layout, part)[:, 0])[~np.isnan(here)])
+        if len(times) > _STEPS:
+            break
+    step = usual_step(times) if len(times) > 1 else np.inf
     scans = list(map_tasks(functools.partial(_scan, layout, step), parts))
     dropped, gaps, starts, begins, last = {}, [], [0], [], None
     kept = []

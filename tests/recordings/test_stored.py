@@ -36,6 +36,14 @@ def test_a_gap_is_found_although_a_time_is_missing(name: str, tmp_path: Path) ->
     assert kept.segments() == whole.segments() and len(kept.segments()) == 2
 
 
+def test_a_gap_is_found_where_every_row_was_written_by_itself(tmp_path: Path) -> None:
+    """A logger that appends to Parquet as samples come makes a row group of each."""
+    pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
+    recorded()[:90].drop(index=range(40, 60)).to_parquet(tmp_path / "long.parquet", row_group_size=1)
+    kept = stored_table(tmp_path / "long.parquet", "long.parquet", 2, True, True)
+    assert kept is not None and kept.segments() == [slice(0, 40), slice(40, 70)]
+
+
 @pytest.mark.parametrize("name", ["long.csv", "long.parquet"])
 def test_a_joint_without_any_torque_is_as_in_a_table_read_whole(name: str, tmp_path: Path) -> None:
     whole, kept = both(recorded().assign(tau1=np.nan), tmp_path, name)
