@@ -9,7 +9,7 @@ import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -18,7 +18,11 @@ from bayesid.drawing import Plots, registered_by_report
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut
 from bayesid.recordings.whole import whole_folder
+from bayesid.results.frames import frame
 from bayesid.section import Part, as_html, as_text
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 REPORT = "report.html"
 #: Of the form of every document.
@@ -105,6 +109,15 @@ class ShownResult(Result):
     def _repr_html_(self) -> str:
         """The same for notebooks."""
         return as_html(self._parts())
+
+    def to_dataframe(self) -> DataFrame:
+        """The numbers that are printed, as a pandas table; nan where there is none.
+
+        Of `check` a row a motion; of `identifiability` one a base parameter; of `accuracy` one a level of each factor and an
+        effect left out; of `diagnose` one a parameter of each effect found; of `watch` one a recording; of `excite` one a limit,
+        or a pair of effects to be told apart; of `payload` and `calibrate` one a quantity; of `export` one a form.
+        """
+        return frame(type(self).__name__, strict(self.to_dict()))
 
 
 def check_output(folder: str | Path, verb: str = "") -> Path:

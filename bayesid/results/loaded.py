@@ -25,6 +25,7 @@ from bayesid.posterior.result import predicted_rows
 from bayesid.results.comparison import Entry, HasEntries
 from bayesid.results.estimated import HasEstimate
 from bayesid.results.files import BESIDE
+from bayesid.results.frames import frame
 from bayesid.robot.prior import Prior
 from bayesid.robot.urdf import JointDynamics
 from bayesid.rounding import LEVEL
@@ -67,6 +68,10 @@ class Loaded(Plots):
     def to_dict(self) -> dict[str, Any]:
         """The document, as the result's `to_dict`."""
         return dict(self.document)
+
+    def to_dataframe(self) -> DataFrame:
+        """The numbers that are printed, as a pandas table: that of the result."""
+        return frame(self.kind, self.document)
 
     def plot(self, *, ax: Any = None) -> Figure:
         """Draw the figure that says most of those that the file holds.

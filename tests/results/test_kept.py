@@ -168,6 +168,27 @@ def test_a_result_is_loaded_from_its_folder_and_its_file(results, loaded, kind):
     assert_same(copy.deepcopy(back).to_dict(), back.to_dict())
 
 
+@pytest.mark.parametrize("kind", WRITTEN)
+def test_the_numbers_of_a_result_are_a_table_also_when_it_is_loaded(results, loaded, kind):
+    table = results[kind].to_dataframe()
+    pd.testing.assert_frame_equal(loaded[kind].to_dataframe()[[*table]], table, check_dtype=False)
+    if kind != "changes":  # of which there are none
+        assert len(table) and table.notna().any(axis=None)
+
+
+def test_tables_hold_the_numbers_of_what_was_found(results):
+    found = results["diagnosis"].to_dataframe().set_index(["name", "where", "parameter"])
+    for effect in results["diagnosis"].to_dict()["effects"]:
+        for name, number in effect["parameters"].items():
+            row = found.loc[(effect["name"], effect["where"], name)]
+            assert (row["value"], row["std"], row["unit"]) == (number["value"], number["std"], number["unit"])
+    payload = results["payload"].to_dataframe().set_index(["quantity", "parameter"])
+    assert [*payload.index.get_level_values(0).unique()] == ["mass", "centre_of_mass", "first_moment", "inertia"]
+    assert payload.loc[("first_moment", "mcx"), "value"] == results["payload"].first_moment[0].value
+    motions = results["inspection"].to_dataframe().set_index("name")
+    assert motions.loc["validation", "samples"] == len(results["table"].times) and motions["times_noise"].notna().all()
+
+
 def test_a_loaded_estimate_has_what_the_estimate_has(results, loaded):
     live, back = results["identification"], loaded["identification"]
     pd.testing.assert_frame_equal(live.to_dataframe(), back.to_dataframe())
