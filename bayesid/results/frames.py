@@ -75,7 +75,8 @@ _FOUND = ("name", "where", "parameter", "value", "std", "unit", "probability", "
 #: Columns of each kind of result, and what makes its rows.
 _TABLES: dict[str, tuple[tuple[str, ...], Callable[[_Document], Iterator[Mapping[str, Any]]]]] = {
     "Inspection": (
-        ("name", "role", "kind", "samples", "duration_s", "rate_hz", "dropped_samples", "relative_error", "times_noise"), _motions,
+        ("name", "role", "kind", "samples", "duration_s", "rate_hz", "dropped_samples", "relative_error", "times_noise"),
+        _motions,
     ),
     "Identifiability": (
         ("name", "label", "unit", "class", "expected_std", "size", "relative_std", "prior_share"), _base_parameters,
