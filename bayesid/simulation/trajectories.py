@@ -187,7 +187,9 @@ def make_trajectories(
     if new:
         return new_trajectories(setup.robot, duration, rate, bool(static), seed)
     own = recorded_trajectories(setup)
-    return own if static is None else [replace(t, static_positions=t.positions if static else None) for t in own]
+    if static is not None:  # poses are at rest themselves
+        own = [replace(t, static_positions=t.positions if static and t.kind != "poses" else None) for t in own]
+    return own
 
 
 def write_trajectory(trajectory: Trajectory, path: str | Path) -> None:
@@ -253,7 +255,7 @@ def planned_trajectories(robot: Robot, paths: Sequence[str | Path], static: bool
         found = read_trajectory(path, robot, "validation" if last else "identification")
         if found.name in [other.name for other in out]:
             raise InputError(f"{path}: another motion is named {found.name} as well; name the files apart")
-        out.append(replace(found, static_positions=found.positions) if static else found)
+        out.append(replace(found, static_positions=found.positions) if static and found.kind != "poses" else found)
     return out
 
 

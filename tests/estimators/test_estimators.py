@@ -6,7 +6,7 @@ import pytest
 from scipy.signal import lfilter
 
 from bayesid.errors import InputError
-from bayesid.estimators import LeastSquares, Ridge, TruncatedSVD, fit
+from bayesid.estimators import LeastSquares, Physical, Ridge, TruncatedSVD, fit
 from bayesid.estimators.weights import learn_weights
 from bayesid.regression.blocks import Block
 from bayesid.regression.options import FitOptions
@@ -261,9 +261,14 @@ def test_regularised_estimators_leave_what_no_row_shows_nominal(tmp_path):
     times, *motion = fourier(robot, 1, duration=6.0, rate=60.0)
     parked = (times, *(x * [0.0, 1.0] for x in motion))  # the first joint stands still
     table = recording(robot, None, parked, torque_std=0.05)
-    arm = experiment(robot, [Motion("identification", "identification", table)], effects=("viscous_friction",))
+    motions = [Motion("identification", "identification", table)]
+    arm = experiment(robot, motions, effects=("viscous_friction",), inertia_rel_std=0.1)
     rows = prepare(arm, FitOptions(channel="torque")).regression
     plain = fit(rows, "ols")
     assert plain.undetermined.any()
     for method in (Ridge(strength=0.0), TruncatedSVD(rank=rows.base.rank)):
         np.testing.assert_allclose(fit(rows, method).solution, plain.solution, rtol=1e-5, atol=1e-7)
+    # Friction of the joint that stands still is what no prior knows, either.
+    entropic = fit(rows, Physical(metric="entropic"))
+    assert entropic.solution[rows.column_names.index("viscous_friction@joint1.coefficient")] == pytest.approx(0.0, abs=1e-9)
+    assert entropic.details.certificate.certified

@@ -19,7 +19,7 @@ from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot, motion_limits
 from bayesid.simulation.simulation import complete_effects, default_values, perturbed_links
-from bayesid.simulation.trajectories import new_trajectories, recorded_trajectories
+from bayesid.simulation.trajectories import make_trajectories, new_trajectories, recorded_trajectories
 from bayesid.workflows.demo import demo_experiment, puma_setup
 from tests.robots import ROBOTS, ur5, write
 
@@ -327,3 +327,10 @@ def test_demo_verb(tmp_path, capsys):
     (out / "experiment" / "mine.txt").write_text("keep", encoding="utf-8")
     assert main(["demo", "--out", str(out)]) == 2
     assert (out / "experiment" / "mine.txt").exists()
+
+
+def test_poses_get_no_stop_and_go_run(setup):
+    """They are at rest themselves, and would be all subtracted."""
+    (poses,) = (replace(t, kind="poses") for t in new_trajectories(setup.robot, 2.0)[:1])
+    made = bayesid.simulate(setup, [poses])
+    assert [t.static_positions for t in make_trajectories(made, new=False, static=True)] == [None]

@@ -257,14 +257,8 @@ def conic(data: LinkData, prior: LinkPrior, bounds: tuple[Linear, ...] = (), str
     rows[: len(data.target), :n], rows[: len(data.target), -1] = data.matrix, data.target
     rows[len(data.target) :, : data.size] = root
     rows[len(data.target) :, -1] = root @ prior.mean
-    length = np.linalg.norm(rows[:, :n], axis=0)
-    # A prior may be far weaker than the data, and is used in the rows as it stands.
-    nothing = undetermined(rows[:, :n], 1e-10)
-    if nothing.any():
-        # Columns that neither side knows, such as an effect that never acts: held at zero by next to nothing.
-        hold = np.zeros((int(nothing.sum()), n + 1))
-        hold[np.arange(len(hold)), np.flatnonzero(nothing)] = np.where(length > 0, 1e-6 * length, 1.0)[nothing]
-        rows = np.concatenate([rows, hold])
+    held = held_columns(rows[:, :n])
+    rows = np.concatenate([rows, np.column_stack([held, np.zeros(len(held))])])
     r = np.asarray(np.linalg.qr(rows, mode="r"))
     r = r * np.where(np.diag(r) < 0, -1.0, 1.0)[: len(r), None]
     return Conic(
@@ -274,6 +268,15 @@ def conic(data: LinkData, prior: LinkPrior, bounds: tuple[Linear, ...] = (), str
         references=prior.references,
         bounds=bounds,
     )
+
+
+def held_columns(matrix: np.ndarray) -> np.ndarray:
+    """Rows (k, n) that hold at zero, by next to nothing, what neither data nor prior know, such as an effect that never acts.
+
+    ``matrix`` has the rows of both (..., n). A prior may be far weaker than the data, and is used as it stands.
+    """
+    length = np.linalg.norm(matrix, axis=0)
+    return np.diag(np.where(length > 0, 1e-6 * length, 1.0))[undetermined(matrix, 1e-10)]
 
 
 def misfit(data: LinkData, x: np.ndarray) -> float:

@@ -24,7 +24,16 @@ from scipy.stats import chi2
 from bayesid.arguments import call
 from bayesid.errors import BayesidWarning, EstimationError, InputError
 from bayesid.estimators.conic.bounds import Bounds
-from bayesid.estimators.conic.links import LinkData, LinkPrior, closest_within, compressed, conic, link_prior, misfit
+from bayesid.estimators.conic.links import (
+    LinkData,
+    LinkPrior,
+    closest_within,
+    compressed,
+    conic,
+    held_columns,
+    link_prior,
+    misfit,
+)
 from bayesid.estimators.conic.problem import Conic, Infeasible, Linear, Solution, Unsolved, solve_conic, solve_entropic
 from bayesid.estimators.covariance import covariance_middle
 from bayesid.estimators.estimator import OPTIONAL, Details, Estimate
@@ -326,7 +335,11 @@ def _solved(
     try:
         if method.metric == "entropic":
             assert prior.rel_std is not None
-            solution = solve_entropic(problem, data.matrix, data.target, prior.rel_std)
+            root = np.zeros((len(prior.root), data.matrix.shape[1]))
+            root[:, : data.size] = prior.root
+            held = held_columns(np.concatenate([data.matrix, root]))
+            rows, target = np.concatenate([data.matrix, held]), np.append(data.target, np.zeros(len(held)))
+            solution = solve_entropic(problem, rows, target, prior.rel_std)
         else:
             solution = solve_conic(problem)
         # The test is between data and physics alone: the nominal model is all but left out.
