@@ -70,7 +70,13 @@ def find_columns(
     finder = _Finder(streams, stated, source)
     wanted = tuple(joints or moving)
     stated.check_numbers(len(wanted))
-    positions = finder.of_joints("q", wanted, must=True)
+    free = tuple(joint for joint in wanted if joint not in locked)
+    try:
+        positions = finder.of_joints("q", wanted, must=True)
+    except InputError:
+        if free in ((), wanted):
+            raise
+        positions, wanted = finder.of_joints("q", free, must=True), free  # there are columns of those that are used only
     if not positions:
         raise InputError(f"no positions of {listed(wanted, 6)} are found", file=source, remedy=finder.what_to_name(wanted))
     if joints is not None and (missing := [name for k, name in enumerate(joints) if k not in positions]):

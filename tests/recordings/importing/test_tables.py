@@ -385,6 +385,18 @@ def test_a_joint_that_is_not_used_may_be_locked_whatever_is_recorded_of_it(gripp
     np.testing.assert_array_equal(imported.experiment.motions[0].table.positions, known.q)
 
 
+def test_numbers_may_be_of_the_joints_that_are_not_locked(known, tmp_path):
+    """The refusal said that ``locked`` leaves out what is not used, and the same was said with it."""
+    frame = pd.DataFrame({"t": known.t, "q1": known.q[:, 0], "q2": known.q[:, 1], "a": known.tau[:, 0], "b": known.tau[:, 1]})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    for columns in ({"tau": ["a", "b"]}, {"q": ["q1", "q2"], "tau": ["a", "b"]}):
+        imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, locked={"gripper": 0.1}, columns=columns)
+        assert imported.experiment.robot.joint_names == JOINTS and imported.experiment.locked == {"gripper": 0.1}
+        np.testing.assert_array_equal(imported.experiment.motions[0].table.torques, known.tau)
+        with pytest.raises(InputError, match="2 (positions|columns) .* 3 joints"):
+            bayesid.read_recording(tmp_path / "log.csv", known.urdf, columns=columns)
+
+
 def test_several_columns_are_named_with_commas_between_as_on_the_command_line(known, tmp_path):
     """Names of columns are listed, or numbered as a refusal lists them: ``q_{0}``, of a wrench, too."""
     frame = pd.DataFrame({"at": known.t, "a": known.q[:, 0], "b, turned": known.q[:, 1], "tau_0": known.tau[:, 0]})
