@@ -68,7 +68,7 @@ def undetermined(matrix: np.ndarray, tolerance: float = UNSEEN) -> np.ndarray:
         return nothing
     _, s, vt = np.linalg.svd(matrix[:, ~nothing] / length[~nothing])
     out = nothing.copy()
-    out[~nothing] = (np.abs(vt[s <= tolerance * s[0]]) > 1e-6).any(axis=0)
+    out[~nothing] = (np.abs(vt[np.count_nonzero(s > tolerance * s[0]) :]) > 1e-6).any(axis=0)  # fewer rows than columns, too
     return out
 
 

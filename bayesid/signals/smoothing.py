@@ -148,8 +148,9 @@ def choose_smoothers(
 
 def _candidates(times: Sequence[np.ndarray]) -> list[float]:
     """Bandwidths to try [Hz]."""
-    rate = float(np.median([1.0 / np.median(np.diff(t)) for t in times]))
-    highest = min(_SEARCHED[1], 0.2 * rate)
+    rates = [float(1.0 / np.median(np.diff(t))) for t in times]
+    # A much slower piece has fewer samples than a spline that suits the others has functions.
+    highest = min(_SEARCHED[1], 0.2 * float(np.median(rates)), 0.4 * min(rates))
     lowest = min(max(_SEARCHED[0], 2.0 / max(sum(t[-1] - t[0] for t in times), 1e-9)), highest)
     return np.geomspace(lowest, highest, 16).tolist()
 

@@ -71,6 +71,12 @@ def test_lengths_and_standard_deviations_of_next_to_nothing():
     assert_allclose(standard_deviations(np.diag([4.0, -1e-20]), 1e-300), [2.0, 1e-150])
 
 
+def test_fewer_rows_than_columns_leave_some_undetermined():
+    matrix = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 2.0, 1.0, 0.0]])
+    assert_equal(undetermined(matrix), [False, True, True, True])
+    assert_equal(undetermined(np.vstack([matrix, np.zeros((2, 4))])), [False, True, True, True])
+
+
 def test_columns_that_rounding_alone_keeps_apart_are_undetermined():
     """Derivatives of a shape that is far off differ by what differencing rounds; a product of factors has no digits for it."""
     rng = np.random.default_rng(4)

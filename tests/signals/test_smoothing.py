@@ -85,6 +85,15 @@ def test_bandwidth_follows_motion_and_noise():
     assert faster.bandwidth > 2 * fine.bandwidth
 
 
+def test_the_bandwidth_suits_a_much_slower_recording_too():
+    fast, slow = np.arange(0, 3, 0.005), np.arange(0, 3, 0.04)
+    rng = np.random.default_rng(0)
+    q = [fourier(10.0 * t)[0] + 1e-6 * rng.normal(size=(len(t), 3)) for t in (fast, slow)]
+    chosen = choose_smoother([(fast, q[0]), (fast + 5.0, q[0]), (slow, q[1])])
+    assert chosen.bandwidth <= 10.0
+    smooth(slow, q[1], chosen.bandwidth)
+
+
 def test_chosen_bandwidth_is_near_the_best_for_accelerations():
     times = np.arange(0, 20, 0.008)
     q, _, a = fourier(times, seed=5)
