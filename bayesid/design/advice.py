@@ -17,7 +17,8 @@ from bayesid.recordings.table import GAP
 from bayesid.regression.readings import make_channels
 from bayesid.simulation.trajectories import Trajectory, fourier_trajectory
 
-#: The motion for comparison: random, within this share of the limits, so many samples a second, no longer than so many seconds.
+#: The motion for comparison: random, within this share of the limits, made with so many samples a second, no longer than so many
+#: seconds.
 _SHARE, _RATE, _LONGEST = 0.8, 100.0, 60.0
 #: Standard deviations that differ by less than this factor count as alike.
 _ALIKE = 1.3
@@ -160,7 +161,8 @@ def _sizes(plan: PlannedMotions, main: SetReport, noise: ReadingNoise) -> list[A
     length = float(np.clip(whole, 1.0, _LONGEST))
     motion = fourier_trajectory(robot, duration=length, rate=_RATE, share=_SHARE, fundamental=max(0.1, 1.0 / length))
     other = report_of(PlannedMotions.of(plan.experiment, [motion]), main.sensor_set, noise)
-    theirs = {b.name: b.std * np.sqrt(length / whole) for b in other.base_parameters}
+    samples = sum(len(m.times if isinstance(m, Trajectory) else m.table.times) for m in plan.motions if m.kind != "poses")
+    theirs = {b.name: b.std * np.sqrt(_RATE * length / samples) for b in other.base_parameters}  # sampled as often as these
     ratios = {b.label: b.std / theirs[b.name] for b in main.base_parameters if b.name in theirs}
     if not ratios:
         return out

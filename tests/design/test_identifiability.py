@@ -236,6 +236,15 @@ def test_advice_names_as_many_combinations_as_it_counts(tmp_path):
     assert known.gain == 1 and named and ";" not in named
 
 
+@pytest.mark.parametrize("rate", [50.0, 400.0])
+def test_a_random_motion_is_compared_at_the_rate_of_the_motions(rate, tmp_path):
+    """A motion of the very kind tells neither more nor less, however often both are sampled."""
+    robot = load("ur5", tmp_path)
+    motion = fourier_trajectory(robot, duration=20.0, rate=rate, share=0.8, seed=5)
+    found = bayesid.identifiability(robot, motion, sensor_sets=["torque"], noise={"torque": 1.0})
+    assert found.main.rank == 36 and not any("a random motion" in a.text for a in found.advice)
+
+
 def test_planned_motions_of_the_same_name_are_told_apart(tmp_path):
     robot, tables = puma2(tmp_path), [tmp_path / folder / "trajectory.csv" for folder in ("one", "two")]
     for seed, table in enumerate(tables):
