@@ -31,7 +31,16 @@ from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import predict, useless
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.urdf_links import urdf_links
-from bayesid.workflows.warnings import incomplete, mistaken, quoted, repeated_motions, unseen_effects, unusable
+from bayesid.workflows.warnings import (
+    incomplete,
+    mistaken,
+    not_settled,
+    quoted,
+    repeated_motions,
+    too_late,
+    unseen_effects,
+    unusable,
+)
 
 #: What is compared when nothing is asked for, as far as it is there: plain, default and efficient least squares,
 #: and one estimator each against outliers, against encoder noise and for bodies that can exist.
@@ -210,8 +219,12 @@ def _warnings(
     problem: Problem | None, weights: Weights, entries: Sequence[Entry], baselines: Sequence[Entry], tests: Sequence[HausmanTest]
 ) -> tuple[str, ...]:
     """What the user should know, most important first."""
-    out = [] if problem is None else unseen_effects(problem)
     done = [e for e in entries if e.estimate is not None]
+    out: list[str] = []
+    if problem is not None:
+        estimates = [e.estimate for e in done if e.estimate is not None]
+        sure = next((e for e in estimates if e.full_covariance is not None), estimates[0])
+        out = [*unseen_effects(problem), *too_late(problem), *not_settled(problem, sure)]
     out += repeated_motions(done[0].validation)
     no_use: list[str] = []
     if problem is not None:

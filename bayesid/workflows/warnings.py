@@ -28,7 +28,7 @@ def of_fit(
     """What any fit to these recordings should be read with, most important first; ``wrong``: what is wrong with it or them."""
     out = [
         *unseen_effects(problem),
-        *_too_late(problem),
+        *too_late(problem),
         *conflicts(check),
         *not_settled(problem, estimate),
         *wrong,
@@ -58,7 +58,7 @@ def unseen_effects(problem: Problem) -> list[str]:
     ]
 
 
-def _too_late(problem: Problem) -> list[str]:
+def too_late(problem: Problem) -> list[str]:
     """That times start too late for effects of the model that grow from time zero on."""
     if not any(e.since_zero for e in problem.row_model.effects):
         return []

@@ -209,6 +209,14 @@ def test_the_nominal_model_has_what_is_stated_of_effects_that_readings_are_not_l
     assert stated.relative_error < 0.1 * without.relative_error
 
 
+def test_what_identify_warns_of_in_the_model_is_warned_of_here(robot):
+    late = made(robot, names=("identification",))
+    motion = late.motions[0]
+    table = replace(motion.table, times=motion.table.times + 1.7e9)
+    late = replace(late, motions=(replace(motion, table=table),), effects=("sensor_drift",))
+    assert [w for w in bayesid.compare(late, ["wls"]).warnings if "subtract the start" in w]
+
+
 def test_differences_are_counted_in_sigmas_of_the_reference(compared):
     assert compared.reference == "wls"
     pair = next(g for g in compared.gaps if (g.first, g.second) == ("ols", "gls"))
