@@ -340,12 +340,14 @@ def _cards(result: Accuracy) -> list[tuple[str, str, str]]:
     if result.sweeps is not None:
         own, predicted = result.sweeps.own, ", ".join(result.bench.predicted_motions)
         large.append((percent(own.prediction, 2), f"of the signal of {predicted}: by so much predictions are wrong", ""))
-        largest = float(np.nanmax(np.abs(own.bias) / np.maximum(result.std, 1e-300)))
-        # Of so many means of so many twins without any bias the largest is below this with 95 %.
-        chance = NormalDist().inv_cdf(1.0 - 0.5 * (1.0 - LEVEL) / len(own.bias)) / np.sqrt(result.sweeps.runs)
-        mood = "good" if largest < max(0.5, chance) else "fair"
-        text = f"largest bias by smoothing and encoders alone; {number(chance, 2)} can be chance in {result.sweeps.runs} twins"
-        large.append((f"{number(largest, 2)} σ", text, mood))
+        biases = np.abs(own.bias) / np.maximum(result.std, 1e-300)
+        if np.isfinite(biases).any():
+            largest = float(np.nanmax(biases))
+            # Of so many means of so many twins without any bias the largest is below this with 95 %.
+            chance = NormalDist().inv_cdf(1.0 - 0.5 * (1.0 - LEVEL) / len(own.bias)) / np.sqrt(result.sweeps.runs)
+            mood = "good" if largest < max(0.5, chance) else "fair"
+            text = f"largest bias by smoothing and encoders alone; {number(chance, 2)} can be chance in {result.sweeps.runs} twins"
+            large.append((f"{number(largest, 2)} σ", text, mood))
     large += [(results.change(v.ratio), f"of the median error by {v.improvement}", "") for _, v in result.improvements[:2]]
     if (c := result.certificate) is not None:
         mood = "good" if c.holds else "bad"

@@ -14,7 +14,7 @@ import pytest
 from bayesid.design.accuracy.bench import Bench, Setting, _model, make_bench, missing_effects, own_setting, twin
 from bayesid.design.accuracy.fits import Errors, Learned, combinations, differenced, errors_of, fit_twin, learn, run_twin
 from bayesid.design.accuracy.susceptibility import susceptibility
-from bayesid.design.accuracy.sweeps import Trial, _by_formula, _level, sweep
+from bayesid.design.accuracy.sweeps import Trial, _by_formula, _level, _noise, sweep
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.effects import Term
 from bayesid.estimators import estimator
@@ -232,6 +232,14 @@ def test_a_static_run_takes_offsets_and_tilts_away():
     found = {s.effect.spec: s.largest for s in susceptibility(bench("puma"), bench("puma").estimate.std)}
     assert found["sensor_offset@sensor"] < 1e-9 and found["base_tilt@base"] < 1e-9
     assert found["sensor_delay@sensor"] > 5.0
+
+
+def test_a_fit_without_a_covariance_has_no_formula():
+    """As one that leaves no residual: then twins tell what noise and length do."""
+    sure = bench("puma")
+    bare = replace(sure, estimate=replace(sure.estimate, full_covariance=None, interval="none"))
+    half, halved = (next(t for t in _noise(b, own_setting(b)).trials if t.value == 0.5) for b in (sure, bare))
+    assert half.setting is None and halved.setting is not None and halved.setting.noise == 0.5
 
 
 def test_errors_of_predictions_are_shares_of_the_readings_where_friction_is_held_at_its_value(tmp_path):

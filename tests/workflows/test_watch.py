@@ -82,6 +82,16 @@ def test_what_cannot_be_compared_is_told_in_its_place(series, tmp_path):
         bayesid.watch(series[0], [])
 
 
+@pytest.mark.parametrize(
+    ("duration", "rate", "says"), [(0.6, 60.0, "10 numbers leave no residual"), (1.0, 25.0, "leaves next to nothing")]
+)
+def test_recordings_that_are_too_short_are_refused_in_one_line(duration, rate, says, series):
+    path = [bayesid.fourier_trajectory(series[0].robot, duration=duration, rate=rate, seed=1, harmonics=2, fundamental=0.5)]
+    short = bayesid.simulate(experiment(series[0].robot, []), path, seed=0)
+    with pytest.raises(bayesid.InputError, match=says):
+        bayesid.watch(short, [short])
+
+
 def test_an_interrupted_series_is_kept(series, tmp_path, capsys, monkeypatch):
     for made in series[:4]:
         bayesid.write_experiment(made, tmp_path / made.name)

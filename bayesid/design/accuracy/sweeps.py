@@ -67,8 +67,13 @@ def _if_complete(bench: Bench, advice: str) -> str:
     return "" if bench.estimate.details.model_complete is False else advice
 
 
+def _has_formula(bench: Bench) -> bool:
+    """Whether the fit is linear in the readings, so that covariances scale with noise and length, and has a covariance."""
+    return isinstance(bench.method, LeastSquares) and bench.estimate.full_covariance is not None
+
+
 def _noise(bench: Bench, own: Setting) -> SweptFactor:
-    formula = isinstance(bench.method, LeastSquares)  # linear in the readings: covariances scale with noise and length
+    formula = _has_formula(bench)
     half = _if_complete(bench, "half the sensor noise")
     trials = tuple(
         Trial(f"× {k:g}", k, None if formula else replace(own, noise=k), (k, 1.0), half if k == 0.5 else "")
@@ -246,7 +251,7 @@ def sweep(bench: Bench, runs: int, seed: int, tell: Callable[[str], object]) -> 
     makers = (_noise, _resolution, _encoder, _rate, _length, _filter, _bandwidth, _velocity, _offset)
     factors = [factor for make in makers if (factor := make(bench, own)).trials]  # those that such an experiment has
     settings: list[Setting] = [own]
-    formula = isinstance(bench.method, LeastSquares)
+    formula = _has_formula(bench)
     if formula:
         settings.append(replace(own, noise=0.0))
     settings += [t.setting for f in factors for t in f.trials if t.setting is not None]

@@ -20,6 +20,7 @@ from bayesid.diagnosis.fit import outside, squared_distance
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.effects import Term
 from bayesid.effects.bodies import Payload, body_of, split_matrix
+from bayesid.errors import InputError
 from bayesid.estimators.conic.problem import nearest_body
 from bayesid.recordings.experiment import Experiment
 from bayesid.robot.robot import Robot
@@ -218,8 +219,12 @@ def compare_with_learned(
     if lower < reference.problem.smoother.bandwidth:
         reference = learn(lower)
     recording = read_recording(reference, after, motions)
-    selection = select(reference, recording, settings)
-    errors = held_out_errors(selection, recording, settings, seed)
+    try:
+        selection = select(reference, recording, settings)
+        errors = held_out_errors(selection, recording, settings, seed)
+    except np.linalg.LinAlgError:  # weights without bound
+        said = "its own fit leaves next to nothing of some readings, so that what a change leaves has no measure; record longer"
+        raise InputError(f"experiment {after.name}: {said}") from None
     decided = verdict(selection, errors, settings)
     named = confirmed(selection, errors, settings)
     free = selection.for_values

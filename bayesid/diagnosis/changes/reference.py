@@ -20,10 +20,12 @@ from functools import cached_property
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.diagnosis.changes.proposals import ChangeProposal, make_proposals, with_proposals
 from bayesid.diagnosis.changes.scales import wander
 from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects import Effect, Point, middle_of
+from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.estimators.least_squares import weighted_factor
 from bayesid.estimators.nonlinear import solve
@@ -205,4 +207,9 @@ def learn_reference(
     experiment = with_bodies(experiment)
     own = list(experiment.effects if effects is None else effects)
     problem = prepare(experiment, FitOptions(channel, effects=[*own, *_FRICTION], bandwidth=bandwidth))
-    return Reference(*solve(problem, "wls"))
+    problem, estimate = solve(problem, "wls")
+    if estimate.full_covariance is None:
+        raise InputError(
+            f"{argument('reference', experiment.name)}: nothing says how sure its fit is, for {estimate.interval_reason}"
+        )
+    return Reference(problem, estimate)
