@@ -346,7 +346,9 @@ def _cards(result: Accuracy) -> list[tuple[str, str, str]]:
             # Of so many means of so many twins without any bias the largest is below this with 95 %.
             chance = NormalDist().inv_cdf(1.0 - 0.5 * (1.0 - LEVEL) / len(own.bias)) / np.sqrt(result.sweeps.runs)
             mood = "good" if largest < max(0.5, chance) else "fair"
-            text = f"largest bias by smoothing and encoders alone; {number(chance, 2)} can be chance in {result.sweeps.runs} twins"
+            text = (
+                f"largest bias by smoothing and encoders alone; {number(chance, 2)} can be chance in {result.sweeps.runs} twins"
+            )
             large.append((f"{number(largest, 2)} σ", text, mood))
     large += [(results.change(v.ratio), f"of the median error by {v.improvement}", "") for _, v in result.improvements[:2]]
     if (c := result.certificate) is not None:
