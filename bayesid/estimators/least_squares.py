@@ -139,7 +139,9 @@ class TruncatedSVD:
 
         values, chosen = _shrink(regression, factor, self.rank, keep, continuous=False)
         details = TruncationDetails(**completeness(weights), kept=int(chosen), of=r, rule=_rule(self.rank is None))
-        if chosen == r:
+        if self.rank == r:
+            reason = "tsvd states none; with all directions kept it is least squares, as ols is, which states them"
+        elif chosen == r:
             reason = "the rule looked at the data to choose how many directions to keep"
         else:
             reason = "truncated directions keep their prior value, which biases the estimate"

@@ -268,6 +268,7 @@ def test_regularised_estimators_leave_what_no_row_shows_nominal(tmp_path):
     assert plain.undetermined.any()
     for method in (Ridge(strength=0.0), TruncatedSVD(rank=rows.base.rank)):
         np.testing.assert_allclose(fit(rows, method).solution, plain.solution, rtol=1e-5, atol=1e-7)
+    assert "as ols is" in fit(rows, TruncatedSVD(rank=rows.base.rank)).interval_reason
     # Friction of the joint that stands still is what no prior knows, either.
     entropic = fit(rows, Physical(metric="entropic"))
     assert entropic.solution[rows.column_names.index("viscous_friction@joint1.coefficient")] == pytest.approx(0.0, abs=1e-9)
