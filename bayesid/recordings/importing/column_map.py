@@ -201,7 +201,7 @@ def foreign_unit(quantity: str, column: str) -> str | None:
 
 def known_unit(quantity: str, text: str) -> str | None:
     """The unit of a quantity (a key of `UNITS`) that is meant by a text, in the spelling of `UNITS`; None where it is none."""
-    plain = re.sub(r"[\s·*.]", "", text)
+    plain = re.sub(r"[\s·*.-]", "", text)
     spelt = {re.sub(r"\s", "", unit): unit for unit in UNITS[quantity]}
     if plain in spelt:
         return spelt[plain]

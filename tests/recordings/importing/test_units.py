@@ -98,3 +98,13 @@ def test_velocities_of_a_slide_in_millimetres_are_told_as_such(urdf, tmp_path):
         bayesid.read_recording(path, urdf, joints=["rail", "turn"])
     units = {"v": "mm/s", "v2": "rad/s"}
     assert bayesid.read_recording(path, urdf, joints=["rail", "turn"], units=units).experiment.warnings == ()
+
+
+@pytest.mark.parametrize("unit", ["N-m", "Nm", "N*m", "N·m", "N.m"])
+def test_the_unit_of_a_moment_is_known_as_sensors_makers_spell_it(unit, urdf, tmp_path):
+    frame = pd.read_csv(log(tmp_path))
+    frame[[f"Force {axis} (N)" for axis in "XYZ"]] = np.cos(np.outer(T, [1.0, 2.0, 3.0]))
+    frame[[f"Torque {axis} ({unit})" for axis in "XYZ"]] = np.sin(np.outer(T, [1.0, 2.0, 3.0]))
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    imported = bayesid.read_recording(tmp_path / "log.csv", urdf, joints=["rail", "turn"], sensor="base")
+    np.testing.assert_allclose(imported.experiment.motions[0].table.wrench[:, 5], np.sin(3.0 * T), atol=1e-15)
