@@ -162,7 +162,7 @@ def _cards(main: SetReport) -> list[tuple[str, str, str]]:
     large = [(rank, "combinations determined, of those that any motion can show", mood)]
     if any(b.size for b in main.base_parameters):
         mood = "fair" if main.rank > main.well_known else "good"
-        large.append((str(main.well_known), "of them expected to be known better than by the size of a body", mood))
+        large.append((str(main.well_known), f"of them expected to be known better than by {results.measure(main)}", mood))
     alone = sum(p.kind == "alone" for p in main.parameters)
     large.append((f"{alone} of {len(main.parameters)}", "link parameters identified alone", ""))
     return [*large, (number(main.condition_number, 3), "condition number, columns at unit length", "")]

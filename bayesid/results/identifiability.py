@@ -170,7 +170,8 @@ def answer(result: Identifiability) -> str:
         text += f" No motion could show more than {most}."
     weak = main.rank - main.well_known
     if weak:
-        text += f" For {weak} of them the expected error is larger than the body itself."
+        what = "value" if result.source == "regression" else "body"
+        text += f" For {weak} of them the expected error is larger than the {what} itself."
     return text
 
 
@@ -209,9 +210,14 @@ def spread(report: SetReport) -> str:
     relative.sort()
     middle = relative[len(relative) // 2][0]
     return (
-        f"Expected standard deviations, relative to the size of a body: {share(relative[0][0])} to {share(relative[-1][0])}, "
+        f"Expected standard deviations, relative to {measure(report)}: {share(relative[0][0])} to {share(relative[-1][0])}, "
         f"{share(middle)} in the middle; the largest is that of {brief(relative[-1][1])}."
     )
+
+
+def measure(report: SetReport) -> str:
+    """What sizes are: rows of one's own may be of no body, and have values alone."""
+    return "the values" if report.sensor_set.channel == "rows" else "the size of a body"
 
 
 def share(ratio: float) -> str:

@@ -271,6 +271,7 @@ def test_rows_without_a_robot(tmp_path):
     assert found.main.rank == 3 and found.main.rank_of_any_motion is None and found.source == "regression"
     np.testing.assert_allclose([b.std for b in found.main.base_parameters], bayesid.fit(rows, "gls").std, rtol=1e-6)
     assert "robot" in found.warnings[0]
+    assert "relative to the values" in str(found) and "a body" not in str(found)
     json.dumps(found.to_dict(), allow_nan=False)
     found.write(tmp_path / "out")
     with pytest.raises(bayesid.InputError, match="identifiability: channel"):
