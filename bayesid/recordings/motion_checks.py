@@ -175,7 +175,7 @@ def check_trajectory(table: Table, robot: Robot, resolution: float | None, held:
     stalled = _stalled(table)
     warnings = [*_steps(table), *([] if held else _stalls(table, stalled))]
     for j in range(robot.n):
-        warnings += _velocity(table, robot, j)
+        warnings += check_velocity(table, robot, j)
         warnings += _jumps(table, robot, j)
     warnings += _encoders(table, robot, stalled, resolution)
     for name, values in table.channels():
@@ -236,8 +236,8 @@ def _travel(table: Table, velocities: np.ndarray, j: int) -> tuple[np.ndarray, n
     return np.diff(table.positions[edges, j])[whole], np.diff(moved[edges])[whole]
 
 
-def _velocity(table: Table, robot: Robot, j: int) -> list[str]:
-    """Compare a velocity column with the positions: how many times too fast it is."""
+def check_velocity(table: Table, robot: Robot, j: int) -> list[str]:
+    """Compare a velocity column with the positions: how many times too fast it is; an `InputError` where its unit is another."""
     if table.velocities is None:
         return []
     by_position, by_velocity = _travel(table, table.velocities, j)

@@ -6,6 +6,7 @@ Tables have the columns ``t, q1 ..., v1 ..., a1 ...``, as ``excite`` writes and 
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,8 +15,9 @@ from typing import Literal
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from bayesid.errors import InputError
+from bayesid.errors import BayesidWarning, InputError
 from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.recordings.motion_checks import check_velocity
 from bayesid.recordings.table_reader import open_parquet, read_table
 from bayesid.robot.robot import Robot, motion_limits
 from bayesid.signals.smoothing import choose_smoother, smooth
@@ -222,7 +224,7 @@ def read_trajectory(
     Raises
     ------
     InputError
-        It is no such table, or has too few rows.
+        It is no such table, has too few rows, or velocities in another unit than its positions.
     """
     path = Path(path)
     if not path.is_file():
@@ -237,6 +239,9 @@ def read_trajectory(
     name = re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem) or "motion"
     times, positions, (v, a) = np.array(table.times), np.array(table.positions), map(np.asarray, rates)
     still = table.velocities is not None and not v.any() and not a.any()
+    if not still:
+        for warning in (text for j in range(robot.n) for text in check_velocity(table, robot, j)):
+            warnings.warn(warning, BayesidWarning, stacklevel=2)
     parked = still and not np.ptp(positions, axis=0).any()
     return Trajectory(
         name, role, times, positions, v, a, kind="poses" if still and not parked else "trajectory",

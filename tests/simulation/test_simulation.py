@@ -19,7 +19,13 @@ from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot, motion_limits
 from bayesid.simulation.simulation import complete_effects, default_values, perturbed_links
-from bayesid.simulation.trajectories import make_trajectories, new_trajectories, recorded_trajectories
+from bayesid.simulation.trajectories import (
+    make_trajectories,
+    new_trajectories,
+    read_trajectory,
+    recorded_trajectories,
+    write_trajectory,
+)
 from bayesid.workflows.demo import demo_experiment, puma_setup
 from tests.robots import ROBOTS, ur5, write
 
@@ -334,3 +340,14 @@ def test_poses_get_no_stop_and_go_run(setup):
     (poses,) = (replace(t, kind="poses") for t in new_trajectories(setup.robot, 2.0)[:1])
     made = bayesid.simulate(setup, [poses])
     assert [t.static_positions for t in make_trajectories(made, new=False, static=True)] == [None]
+
+
+def test_a_planned_motion_with_velocities_in_degrees_is_refused(setup, tmp_path):
+    """They were taken for the true ones, beside positions that say something else."""
+    planned = new_trajectories(setup.robot, 4.0, 50.0)[0]
+    write_trajectory(replace(planned, velocities=np.degrees(planned.velocities)), tmp_path / "planned.csv")
+    with pytest.raises(bayesid.InputError, match="planned.csv: column v1: 57.3 times what column q1 .* degrees per second"):
+        read_trajectory(tmp_path / "planned.csv", setup.robot)
+    write_trajectory(replace(planned, velocities=[1.5, 1.0] * planned.velocities), tmp_path / "planned.csv")
+    with pytest.warns(bayesid.BayesidWarning, match="column v1: 1.5 times what column q1"):
+        read_trajectory(tmp_path / "planned.csv", setup.robot)
