@@ -155,7 +155,7 @@ class RowModel:
     def _states(self, segment: Segment, first: int, last: int) -> tuple[MotionSegment, int, int]:
         """The samples' motion and what the effects need of that around them: samples a ... b - 1, with a and b."""
         assert self.point is not None
-        a, b = self.around(segment, first, last, self.point.terms(self.effects))
+        a, b = self.around(segment, first, last, [*self.point.terms(self.effects), *self.beside])
         states = replace(
             self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle, clear=self.clear
         )
@@ -170,10 +170,19 @@ class RowModel:
         rigid, some, target = linearised(
             self.robot, self.channels, states, effects, point, self.base.independent, read, gravity=segment.gravity
         )
-        others = np.zeros((*some.shape[:2], self.extra_columns))
+        others = np.zeros((*some.shape[:2], int(self.free.sum())))
         others[:, :, acts[self.free]] = some
-        part = slice(first - a, last - a)
-        return np.concatenate([rigid[part], others[part], target[part, :, None]], axis=2)
+        parts = [rigid, others, *self._columns_beside(segment, states, point.terms(effects)), target[:, :, None]]
+        return np.concatenate([part[first - a : last - a] for part in parts], axis=2)
+
+    @property
+    def beside(self) -> tuple[Term, ...]:
+        """Effects that are not in the model and have columns all the same: here none."""
+        return ()
+
+    def _columns_beside(self, segment: Segment, states: MotionSegment, terms: Sequence[Term]) -> list[np.ndarray]:
+        """Columns of those (N, channels, k), by the effects of the model that act in the segment."""
+        return []
 
     def _acting(self, segment: Segment) -> tuple[tuple[tuple[Effect, ...], Point], np.ndarray]:
         """The effects that act in a segment, the point with their values alone, and which of all parameters are theirs."""

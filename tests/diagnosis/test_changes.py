@@ -15,14 +15,17 @@ from bayesid.cli import main
 from bayesid.diagnosis.changes.evidence import Marginal, Reduced, amplitudes, gain
 from bayesid.diagnosis.changes.findings import ReferenceComparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis, SharedAmplitudes
+from bayesid.diagnosis.changes.proposals import make_proposals, with_proposals
 from bayesid.diagnosis.changes.recording import read_recording
 from bayesid.diagnosis.changes.reference import learn_reference
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.effects import EffectLibrary, Term
 from bayesid.effects.friction import CoulombFriction
+from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
+from bayesid.regression.problem import prepare
 from bayesid.report.changes import changes_report, hidden_table
 from bayesid.results.changes import Changes, hidden_sentences, next_experiment
 from bayesid.robot import inertia
@@ -225,6 +228,23 @@ def test_nothing_is_named_where_friction_wanders_by_a_twentieth(arm):
     assert 0.01 < hidden["payload@joint6"] < 1.5
     assert 0.8 < hidden["coulomb_friction@joint2"] < 8.0
     assert "could hide" in str(found)
+
+
+def test_rows_with_proposals_are_the_models_with_columns_beside(tmp_path):
+    """Also of a mount that gives, whose drive is smoothed to what encoders show."""
+    robot, mount = puma2(tmp_path), {"resonance": 8.0, "damping": 0.05}
+    table = recording(robot, Sensor(), fourier(robot, 1, 8.0), seed=1, force_std=0.5, torque_std=0.05, resolution=1e-5)
+    values = {"base_compliance@base": mount}
+    arm = experiment(robot, [Motion("m", "identification", table)], Sensor(), effects=("base_compliance",), effect_values=values)
+    problem, _ = solve(prepare(arm))
+    model, segment = problem.row_model, problem.segments["m"][0]
+    assert model.clear is not None and model.point is not None
+    proposals = make_proposals(problem, robot.nominal.ravel())
+    rows = with_proposals(model, model.point, proposals).about_point(segment, 100, 200)
+    own = model.about_point(segment, 100, 200)
+    count = own.shape[2] - 1
+    np.testing.assert_array_equal(np.delete(rows, np.s_[count:-1], axis=2), own)
+    assert rows.shape[2] - own.shape[2] == sum(int(p.active.sum()) for p in proposals) > 10
 
 
 def test_what_could_hide_is_in_the_unit_of_its_joint():

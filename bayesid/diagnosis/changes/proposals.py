@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from bayesid.diagnosis.changes.scales import LASTING
-from bayesid.effects import BodyEffect, Effect, Linearisation, MotionSegment, Point, Term, columns, linearised
+from bayesid.effects import BodyEffect, Effect, Linearisation, MotionSegment, Point, Term, columns
 from bayesid.effects.drives import CoupledFriction
 from bayesid.effects.surroundings import surroundings_of
 from bayesid.regression.problem import Problem
@@ -44,25 +44,20 @@ class ProposalRows(RowModel):
         """Effect parameters that are estimated, and all columns of the proposals."""
         return super().extra_columns + sum(int(p.active.sum()) for p in self.proposals)
 
-    def about_point(self, segment: Segment, first: int, last: int) -> np.ndarray:
-        """Rows of samples about the point: regressor, effects, proposals, shifted target (N, channels, p + 1)."""
+    @property
+    def beside(self) -> tuple[Term, ...]:
+        """The proposals' effects."""
+        return tuple(p.term for p in self.proposals)
+
+    def _columns_beside(self, segment: Segment, states: MotionSegment, terms: Sequence[Term]) -> list[np.ndarray]:
         assert self.point is not None
-        terms = self.point.terms(self.effects)
-        a, b = self.around(segment, first, last, [*terms, *(p.term for p in self.proposals)])
-        states = replace(self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle)
-        read = segment.readings[a:b] if segment.gravity else segment.measured(a, b)
-        robot, channels, point = self.robot, self.channels, self.point
-        own = linearised(robot, channels, states, self.effects, point, self.base.independent, read, gravity=segment.gravity)
-        parts = [*own[:2]]
+        out = []
         for p in self.proposals:
-            found = columns(
-                robot, channels, states, point.links, terms, p.effect, tuple(p.about.at), gravity=segment.gravity
+            own = columns(
+                self.robot, self.channels, states, self.point.links, terms, p.effect, tuple(p.about.at), gravity=segment.gravity
             )[:, :, p.active]  # fmt: skip
-            if p.effect.removed_by_static_run and not segment.offset:
-                found = np.zeros_like(found)
-            parts.append(found)
-        part = slice(first - a, last - a)
-        return np.concatenate([*(x[part] for x in parts), own[2][part, :, None]], axis=2)
+            out.append(own if segment.offset or not p.effect.removed_by_static_run else np.zeros_like(own))
+        return out
 
 
 def with_proposals(model: RowModel, point: Point, proposals: tuple[ChangeProposal, ...]) -> ProposalRows:
