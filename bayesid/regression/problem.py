@@ -183,6 +183,8 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
     specs = experiment.effects if options.effects is None else options.effects
     # Validation motions are read, too: the same rows are made from them later.
     readable = [m for m in experiment.motions if m in chosen or has_readings(m.table, channel)]
+    if subtract and all(_run_takes_all(m) for m in chosen):  # gravity and the sensor's offset: other motions must lack them, too
+        readable = [m for m in readable if _run_takes_all(m)]
     segments = {m.name: motion_segments(experiment, channels, m, k, channel, subtract) for k, m in enumerate(readable)}
     fitted = [r for m in chosen for r in segments[m.name]]
     where = "experiment.toml: [model] effects" if options.effects is None else argument("effects")
@@ -233,6 +235,11 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
         effects=structure.specs,
         unseen=() if options.effects is None else structure.unseen,
     )
+
+
+def _run_takes_all(motion: Motion) -> bool:
+    """Whether a motion repeats its static run row by row, which takes gravity and the sensor's offset away."""
+    return motion.stop_and_go and motion.static is not None and motion.static.wrench is not None
 
 
 def _static(motions: Sequence[Motion], segments: Sequence[Segment | LongSegment], channel: str) -> str:
@@ -345,9 +352,15 @@ def elsewhere(problem: Problem, other: Experiment) -> Problem:
     if not readable:
         raise InputError(f"experiment {other.name}: no motion has the readings that were fitted ({problem.channel})")
     channels, subtract = row_model.channels, problem.subtracts
+    known = any(s.gravity for name in problem.fitted for s in problem.segments[name])  # gravity and the sensor's offset
     segments = {m.name: motion_segments(recorded, channels, m, k, problem.channel, subtract) for k, m in enumerate(readable)}
     segments = _settling(segments, row_model.effects)
     for motion in readable:
+        if problem.static == "motion" and not known and any(s.gravity for s in segments[motion.name]):
+            raise InputError(
+                f"experiment {other.name}: motion '{motion.name}' has no static run, and the estimate knows neither gravity nor "
+                f"the sensor's offset, which one took away; give it a run, or fit with {argument('static', 'joint')}"
+            )
         _require_length(motion, segments[motion.name], row_model)
     return replace(problem, experiment=other, segments=segments, rows=MotionRows(row_model, segments))
 

@@ -40,6 +40,7 @@ from bayesid.workflows.warnings import (
     too_late,
     unseen_effects,
     unusable,
+    without_static_run,
 )
 
 #: What is compared when nothing is asked for, as far as it is there: plain, default and efficient least squares,
@@ -224,7 +225,7 @@ def _warnings(
     if problem is not None:
         estimates = [e.estimate for e in done if e.estimate is not None]
         sure = next((e for e in estimates if e.full_covariance is not None), estimates[0])
-        out = [*unseen_effects(problem), *too_late(problem), *not_settled(problem, sure)]
+        out = [*unseen_effects(problem), *without_static_run(problem), *too_late(problem), *not_settled(problem, sure)]
     out += repeated_motions(done[0].validation)
     no_use: list[str] = []
     if problem is not None:

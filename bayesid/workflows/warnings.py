@@ -28,6 +28,7 @@ def of_fit(
     """What any fit to these recordings should be read with, most important first; ``wrong``: what is wrong with it or them."""
     out = [
         *unseen_effects(problem),
+        *without_static_run(problem),
         *too_late(problem),
         *conflicts(check),
         *not_settled(problem, estimate),
@@ -55,6 +56,20 @@ def unseen_effects(problem: Problem) -> list[str]:
     return [
         f"{argument('effects', problem.unseen)}: the readings that are fitted ({problem.channel}) do not show {them}, "
         f"{left_out}{remedy}."
+    ]
+
+
+def without_static_run(problem: Problem) -> list[str]:
+    """Which motions for validation are left out, because the fit subtracts a static run and they have none, in one line."""
+    if problem.static != "motion":
+        return []
+    names = [m.name for m in problem.experiment.validation if m.name not in problem.segments and has_readings(m.table, "wrench")]
+    if not names:
+        return []
+    has = "has" if len(names) == 1 else "have"
+    return [
+        f"{quoted(names)} {has} no static run, and gravity and the sensor's offset, which one takes from the fitted motions, are "
+        f"not known: left out of the validation. Fit the run along ({argument('static', 'joint')}), or record one there, too."
     ]
 
 

@@ -209,6 +209,27 @@ def test_the_nominal_model_has_what_is_stated_of_effects_that_readings_are_not_l
     assert stated.relative_error < 0.1 * without.relative_error
 
 
+def test_motions_without_the_run_that_is_subtracted_are_not_predicted(robot):
+    """Gravity and the sensor's offset are in their readings, and not in an estimate from which a run took them."""
+    motions = []
+    for k, name in enumerate(("identification", "plain", "validation"), 1):
+        moving, rest = (
+            recording(robot, SENSOR, fourier(robot, k), seed=seed, offset=np.full(6, 3.0), static=still, **NOISE)
+            for seed, still in ((k, False), (k + 9, True))
+        )
+        motions.append(Motion(name, "identification" if k == 1 else "validation", moving, static=None if k == 2 else rest))
+    runs = experiment(robot, motions, SENSOR)
+    found = bayesid.identify(runs)
+    assert found.problem.static == "motion" and [p.motion for p in found.validation] == ["validation"]
+    assert found.validation[0].whitened_rms == pytest.approx(1.0, abs=0.05)
+    assert any("'plain' has no static run" in w for w in found.warnings)
+    assert any("'plain' has no static run" in w for w in bayesid.compare(runs, ["wls"]).warnings)
+    with pytest.raises(bayesid.InputError, match="'plain' has no static run"):
+        found.validate(motions[1])
+    along = bayesid.identify(runs, static="joint")
+    assert all(p.whitened_rms == pytest.approx(1.0, abs=0.05) for p in along.validation) and len(along.validation) == 2
+
+
 def test_what_identify_warns_of_in_the_model_is_warned_of_here(robot):
     late = made(robot, names=("identification",))
     motion = late.motions[0]
