@@ -132,6 +132,14 @@ class _WithPredictions(Loaded):
         return _predictions(self._held("validation", "validation"))
 
 
+class _WithEffects(Loaded):
+    """A result read back whose effects are asked for by a method, as those of the result are."""
+
+    def effects(self) -> list[dict[str, Any]]:
+        """Every effect of the model with values, standard deviations and units of its parameters."""
+        return self._held("effects", "effects")
+
+
 def _column(key: str, text: str) -> Any:
     """A property: one number of each parameter (r,)."""
     return property(lambda loaded: _numbers(loaded._entries, key), doc=text)
@@ -156,7 +164,7 @@ class _WithParameters(Loaded):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedIdentification(HasEstimate, _WithPredictions):
+class LoadedIdentification(HasEstimate, _WithEffects, _WithPredictions):
     """What `bayesid.identify` found, read back: names, values, intervals, errors of predictions, links."""
 
     report = "identification_figures"
@@ -245,7 +253,7 @@ class LoadedComparison(HasEntries, Loaded):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedPosterior(HasParameters, _WithParameters, _WithPredictions):
+class LoadedPosterior(HasParameters, _WithEffects, _WithParameters, _WithPredictions):
     """What `bayesid.sample` found, read back: draws of ``posterior.nc``, summaries of ``posterior.json``."""
 
     report = "posterior"

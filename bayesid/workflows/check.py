@@ -21,7 +21,7 @@ from bayesid.validation.mistakes.search import find_mistakes
 from bayesid.validation.own_fit import fit_and_predict
 from bayesid.validation.prediction import useless
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
-from bayesid.workflows.warnings import lacks_drives, unpredicted, unusable
+from bayesid.workflows.warnings import lacks_drives, unpredicted, unusable, without_static_run
 
 _GROUPS = {"positions": "q", "velocities": "v", "commanded": "qr", "torques": "tau", "wrench": "wrench"}
 #: Samples of a long recording that speeds are taken from.
@@ -74,6 +74,7 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
         unseen = [p for p in left if not p.fitted]
         no_use = useless(unseen) and lacks_drives(problem)
         warnings += unusable(problem, unseen, [], takes_effects=False) if no_use else unpredicted(unseen)
+        warnings += without_static_run(problem)
     progress("base parameters")
     return Inspection(
         experiment=experiment,

@@ -176,6 +176,11 @@ def test_the_numbers_of_a_result_are_a_table_also_when_it_is_loaded(results, loa
         assert len(table) and table.notna().any(axis=None)
 
 
+@pytest.mark.parametrize("kind", ["identification", "posterior"])
+def test_a_loaded_result_is_asked_for_its_effects_as_the_result_is(results, loaded, kind):
+    assert_same(loaded[kind].effects(), results[kind].effects())
+
+
 def test_tables_hold_the_numbers_of_what_was_found(results):
     found = results["diagnosis"].to_dataframe().set_index(["name", "where", "parameter"])
     for effect in results["diagnosis"].to_dict()["effects"]:

@@ -122,7 +122,7 @@ def test_a_sum_alone_has_bounds(tmp_path):
 def test_nothing_is_added_to_the_bands_of_a_complete_model(complete):
     left = complete[1].remainder
     assert left is not None and left.held_out and left.complete
-    assert "explain all that is left of m1, which were not fitted" in complete[1].headline
+    assert "explain all that is left of m1, which was not fitted" in complete[1].headline
 
 
 @pytest.mark.parametrize("held_out", [True, False])
