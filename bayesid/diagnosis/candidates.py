@@ -84,7 +84,7 @@ class Proposal:
     term: Term  # the effect and its values
     gain: float  # what it explains at most, in units of chi2
     parameters: int  # how many amplitudes that took
-    #: Size of its first parameter that would stand out by five standard deviations; None where it has no amplitude.
+    #: Size of its first parameter that would stand out by five standard deviations of the noise; None where it has no amplitude.
     minimum: float | None = None
     others: tuple[Term, ...] = ()  # other values to start from
     #: Whether the gain is that of values tried as they are, a lower bound of what a fit gains; columns give an upper bound.

@@ -31,14 +31,16 @@ class Visible:
     named: float | None  # size from which what the most_collinear leaves stands out as much; None where no plausible size does
 
 
-def visible(library: Library) -> tuple[Visible, ...]:
+def visible(library: Library, dispersion: float) -> tuple[Visible, ...]:
     """Smallest sizes that could be seen and told from any one other effect, for every effect with an amplitude.
 
     With the whitened columns of two effects, links projected out, the trace z of the first at its usual values, and an
     orthonormal basis Q of the second, the second explains ``|Q' z|^2 / |z|^2`` of it. The usual size has a length of |z|
-    standard deviations, so ``5 / |z|`` of it is seen and ``5 / (|z| sqrt(1 - share))`` of it told apart.
+    standard deviations, so ``5 / |z|`` of it is seen and ``5 / (|z| sqrt(1 - share))`` of it told apart: standard deviations of
+    the noise, larger by the root of the ``dispersion``, the mean square that no effect explains.
     """
-    robot, detected = library.projector.data.robot, library.projector.data.settings.detected
+    robot = library.projector.data.robot
+    detected = library.projector.data.settings.detected * float(np.sqrt(dispersion))
     if not library.blocks:
         return ()
     traces = np.stack([b.rows @ b.about.to_amplitudes(np.array(b.effect.typical(robot), float)) for b in library.blocks], axis=1)

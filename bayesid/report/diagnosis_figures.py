@@ -354,7 +354,7 @@ def diagnosis_views(diagnosis: Diagnosis) -> Views:
         panels=_panels(pairs, s.noise_level),
         signals=_signals(diagnosis, judged),
         noise=_noise(diagnosis),
-        visible=() if s.library is None else visible(s.library),
+        visible=() if s.library is None else visible(s.library, s.dispersion),
         changed=s.best is not s.base and len(s.best.terms) > len(s.base.terms),
     )
 

@@ -194,6 +194,10 @@ class Diagnosis(ShownResult):
         each = float(np.log(self.search.projector.rows))
         return 0.5 * (proposal.gain / self.search.dispersion - proposal.parameters * each)
 
+    def least_visible(self, proposal: Proposal) -> float | None:
+        """Size of an effect's first parameter that stands out by five standard deviations, of what no effect explains, too."""
+        return None if proposal.minimum is None else proposal.minimum * float(np.sqrt(self.search.dispersion))
+
     def to_dict(self) -> dict[str, Any]:
         """What ``diagnosis.json`` holds."""
         return {
@@ -204,7 +208,7 @@ class Diagnosis(ShownResult):
             "description": None if self.description is None else description_dict(self.description, self.data.channels.names),
             "candidates": [
                 {"name": p.term.effect.name, "where": p.term.effect.where, "log_bayes_factor": self.evidence(p),
-                 "minimum_detectable": p.minimum}
+                 "minimum_detectable": self.least_visible(p)}
                 for p in self.search.proposals
             ],
             "identification": {

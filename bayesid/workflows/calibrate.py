@@ -158,13 +158,14 @@ def _hidden(found: Diagnosis, fit: Identification, alone: bool) -> tuple[HiddenE
     out: dict[str, HiddenEffect] = {}
     for p in found.search.proposals:
         effect = p.term.effect
-        if effect.name not in KINDS or effect.name in there or p.minimum is None or not np.isfinite(p.minimum):
+        size = found.least_visible(p)
+        if effect.name not in KINDS or effect.name in there or size is None or not np.isfinite(size):
             continue
         if alone and effect.name == "sensor_translation":  # it is another centre of mass
             continue
-        if effect.name not in out or p.minimum > out[effect.name].size:
+        if effect.name not in out or size > out[effect.name].size:
             unit, name = effect.units[0], effect.parameters[0]
-            out[effect.name] = HiddenEffect(effect.name, effect.spec, name, float(p.minimum), unit)
+            out[effect.name] = HiddenEffect(effect.name, effect.spec, name, size, unit)
     return tuple(out[k] for k in KINDS if k in out)
 
 

@@ -111,6 +111,14 @@ def test_the_json_is_as_promised(named, written):
     assert {"name", "where", "log_bayes_factor", "minimum_detectable"} <= set(found["candidates"][0])
 
 
+def test_sizes_that_stand_out_count_what_no_effect_explains(clean):
+    louder = replace(clean, search=replace(clean.search, dispersion=9.0 * clean.search.dispersion))
+    sizes, larger = ([c["minimum_detectable"] for c in d.to_dict()["candidates"]] for d in (clean, louder))
+    assert larger == pytest.approx([None if size is None else 3.0 * size for size in sizes])
+    seen, later = ([x for v in diagnosis_views(d).visible for x in (v.seen, v.named) if x is not None] for d in (clean, louder))
+    assert seen[:3] and later[:3] == pytest.approx([3.0 * x for x in seen[:3]])
+
+
 def test_numbers_that_are_not_finite_become_null(named, tmp_path):
     gap = replace(named.gap, closed=np.nan, closed_low=-np.inf)
     odd = replace(named, gap=gap, found=(replace(named.found[0], std=np.array([np.inf])),))
