@@ -258,10 +258,10 @@ def _narrowed(result: ExperimentPosterior) -> list[ShownSection]:
 
 
 def _effects_and_noise(result: ExperimentPosterior) -> list[Part]:
-    model = result.model
+    model, found, rank = result.model, result.parameters(), result.base.rank
     effects = [
-        _summary(n, u, result.effect_draws[..., k])
-        for k, (n, u) in enumerate(zip(model.effect_names, model.effect_units, strict=True))
+        [found.names[k], *with_half(found.values[k], found.std[k]), found.units[k], ends(found.low[k], found.high[k])]
+        for k in range(rank, len(found))
     ]
     scales = [_summary(n, "× noise", result.scales[..., k]) for k, n in enumerate(model.scale_names)]
     scales += [] if result.dof is None else [_summary("degrees of freedom", "", result.dof)]

@@ -356,7 +356,8 @@ class ControllerBounds(ShownResult):
             "identified.urdf": lambda path: write_urdf(robot, known.urdf, path, known.dynamics),
         }
         for k, draw in enumerate(np.linspace(0, len(self.links) - 1, self.urdfs).astype(int), 1):
-            along = joint_dynamics(known.problem, known.links.effects[draw], ~known.undetermined[known.base.rank :])
+            linked, free = known.links.effects[draw], ~known.undetermined[known.base.rank :]
+            along = joint_dynamics(known.problem, self.links[draw], linked, free)
             files[f"sampled-{k:03d}.urdf"] = lambda path, draw=draw, along=along: write_urdf(robot, self.links[draw], path, along)
         return files
 

@@ -18,7 +18,7 @@ from bayesid.estimators.estimator import LEVEL
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters
-from bayesid.regression.problem import Problem
+from bayesid.regression.problem import Problem, weight_columns
 from bayesid.regression.row_model import RowModel
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot, load_robot
@@ -83,6 +83,34 @@ def by_effect(row_model: RowModel, values: np.ndarray, std: np.ndarray) -> list[
     return (
         [(e, *part) for e, part in zip(row_model.effects, np.split(whole, ends[:-1], axis=1), strict=True)] if len(ends) else []
     )
+
+
+def own_values(problem: Problem, values: np.ndarray, links: np.ndarray) -> np.ndarray:
+    """Estimated effect parameters (..., e) without what is weight of links (..., 10 b): what looks like it is fitted as one."""
+    at, absorbed = weight_columns(problem.row_model), problem.row_model.base.absorbed
+    if absorbed is None or not at:
+        return values
+    own = values.copy()
+    own[..., at] -= links @ absorbed[: len(at)].T
+    return own
+
+
+def own_offset(problem: Problem, values: np.ndarray, std: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """The sensor's offset (6,), freed from the weight that looks like one, which only the nominal model knows.
+
+    ``values`` and ``std`` are those of all estimated effect parameters (e,). Its standard deviation is nan where the nominal mass
+    that it rests on has no stated one. None without an offset that is estimated.
+    """
+    at, absorbed = weight_columns(problem.row_model), problem.row_model.base.absorbed
+    if not at:
+        return None
+    own, known = own_values(problem, values, links)[at], std[at].copy()
+    if absorbed is not None:
+        rows = absorbed[: len(at)]
+        rel_std = problem.experiment.inertia_rel_std
+        share = np.sqrt(np.sum((rows * links).reshape(len(rows), -1, 10).sum(axis=2) ** 2, axis=1))
+        known = np.where(share > 1e-9, np.nan if rel_std is None else np.hypot(known, (rel_std or 0.0) * share), known)
+    return own, known
 
 
 def placed(effect: Effect, robot: Robot) -> str:
@@ -225,14 +253,15 @@ class UrdfLinks:
 
 
 def joint_dynamics(
-    problem: Problem, effects: np.ndarray, determined: np.ndarray, estimated: np.ndarray | None = None
+    problem: Problem, links: np.ndarray, effects: np.ndarray, determined: np.ndarray, estimated: np.ndarray | None = None
 ) -> JointDynamics:
     """What was identified inside the joints, as a URDF holds it, and what it has no place for.
 
-    ``effects`` are values of estimated parameters that go with the links, beside those that are stated; ``determined`` which of
-    them the data determine, alone, and ``estimated`` those of the estimate itself where they are others: neither may be negative;
-    (e,) each.
+    ``effects`` are values of estimated parameters that go with the ``links`` (10 b,), beside those that are stated;
+    ``determined`` which of them the data determine, alone, and ``estimated`` those of the estimate itself where they are others:
+    neither may be negative; (e,) each.
     """
+    effects = own_values(problem, effects, links)
     friction: dict[str, dict[str, float]] = {}
     negative, beside = [], {}
     own = by_effect(problem.row_model, effects if estimated is None else estimated, determined)

@@ -31,6 +31,7 @@ from bayesid.results.fitted_model import (
     filter_section,
     fitted_model,
     impossible_bodies,
+    joint_dynamics,
     noise_section,
     robot_section,
 )
@@ -255,7 +256,9 @@ class Identification(PlotsPredictions, HasEstimate, Result):
         robot, urdf = self.problem.experiment.robot, self.urdf
         files = {"identified.urdf": lambda path: write_urdf(robot, urdf.links, path, urdf.dynamics)}
         if self.unconstrained_urdf:
-            files["identified-unconstrained.urdf"] = lambda path: write_urdf(robot, urdf.unconstrained, path, urdf.dynamics)
+            e, rank = self.estimate, self.base.rank
+            along = joint_dynamics(self.problem, urdf.unconstrained, e.solution[rank:], ~e.undetermined[rank:])
+            files["identified-unconstrained.urdf"] = lambda path: write_urdf(robot, urdf.unconstrained, path, along)
         effects, values = self.model
         expressions = self.problem.experiment.library.expressions
         return files | {"model.toml": lambda path: write_model(effects, values, path, expressions)}

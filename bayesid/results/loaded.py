@@ -290,6 +290,11 @@ class LoadedPosterior(HasParameters, _WithEffects, _WithParameters, _WithPredict
         return self._drawn("effect") if "effect" in self._group else self.base_draws[..., :0]
 
     @property
+    def own_effect_draws(self) -> np.ndarray:
+        """Draws of the effect parameters, less the weight of the drawn links in them, (chains, draws, e)."""
+        return _own_effects(self._group) if "effect" in self._group else self.effect_draws
+
+    @property
     def link_draws(self) -> np.ndarray | None:
         """Draws of the link parameters (chains, draws, P); None with a flat prior."""
         return self._drawn("link") if "link" in self._group else None
@@ -324,7 +329,10 @@ class LoadedPosterior(HasParameters, _WithEffects, _WithParameters, _WithPredict
         found = _parameters([*self.document["base_parameters"], *self.document["effect_parameters"]], LEVEL)
         if level == LEVEL:
             return found
-        low, high = np.quantile(np.concatenate([self.base_draws, self.effect_draws], axis=-1), tails(level), axis=(0, 1))
+        low, high = np.quantile(np.concatenate([self.base_draws, self.own_effect_draws], axis=-1), tails(level), axis=(0, 1))
+        if "sensor_offset" not in self._group:  # without links, the nominal ones say how much of an offset is weight
+            weighed = np.array([name.startswith("sensor_offset@") for name in found.names], bool)
+            low, high = np.where(weighed, central_interval(found.values, found.std, level), (low, high))
         return Parameters(found.names, found.labels, found.values, found.std, low, high, found.units, found.classes)
 
     def plot_marginals(self, *, ax: Any = None) -> Figure:
@@ -442,7 +450,7 @@ def _of_draws(file: Path) -> dict[str, Any]:
         short = [str(n) for n in array.coords[array.dims[-1]].values]
         # NetCDF gives a list of one text back as that text.
         names = [str(n) for n in np.atleast_1d(group.attrs["base_parameters"])] if variable == "base" else short
-        draws = np.asarray(array.values, float).reshape(-1, len(names))
+        draws = (_own_effects(group) if variable == "effect" else np.asarray(array.values, float)).reshape(-1, len(names))
         low, high = np.quantile(draws, tails(), axis=0)
         columns = zip(names, short, draws.mean(axis=0), draws.std(axis=0, ddof=1), low, high, strict=True)
         return [
@@ -457,6 +465,16 @@ def _of_draws(file: Path) -> dict[str, Any]:
         "experiment": None, "base_parameters": entries("base"), "effect_parameters": entries("effect"),
         "covariance": np.atleast_2d(np.cov(draws.reshape(-1, draws.shape[-1]).T)).tolist(),
     }  # fmt: skip
+
+
+def _own_effects(group: Any) -> np.ndarray:
+    """Draws of the effect parameters (chains, draws, e) in a group of ``posterior.nc``, a sensor's offset without weight."""
+    draws = np.array(group["effect"].values, float)
+    if "sensor_offset" in group:
+        own = group["sensor_offset"]
+        names = [str(name) for name in group["effect_parameter"].values]
+        draws[..., [names.index(f"sensor_offset@sensor.{axis}") for axis in own["axis"].values]] = own.values
+    return draws
 
 
 def _base(document: Mapping[str, Any]) -> BaseParameters:

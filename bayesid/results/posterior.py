@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from xarray import DataArray
 
+from bayesid.dynamics.base_parameters import nearest_links
+from bayesid.dynamics.channels import WRENCH_NAMES
+from bayesid.estimators.parameters import Parameters, central_interval, tails
 from bayesid.posterior.convert import write_netcdf
 from bayesid.posterior.result import Posterior
-from bayesid.regression.problem import Problem
+from bayesid.regression.problem import Problem, weight_columns
 from bayesid.results.estimated import PlotsPredictions
 from bayesid.results.files import SCHEMA, Files, Result
-from bayesid.results.fitted_model import by_effect, filter_section, joint_dynamics, robot_section
+from bayesid.results.fitted_model import by_effect, filter_section, joint_dynamics, own_offset, own_values, robot_section
 from bayesid.robot.urdf import JointDynamics, write_urdf
+from bayesid.rounding import LEVEL
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import Prediction
 
@@ -53,10 +58,45 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
         covariance = np.atleast_2d(np.cov(columns.T))
         return predict_readings(self.problem, columns.mean(axis=0), covariance, nothing, q, v, a, times)
 
+    @property
+    def own_effect_draws(self) -> np.ndarray:
+        """Draws of the effect parameters, less the weight of the drawn links in them, (chains, draws, e).
+
+        As `effect_draws`, but for the offset of a sensor from which no static run takes the weight: what looks like an offset is
+        fitted as one. With a flat prior, which draws no links, they are `effect_draws`.
+        """
+        return self.effect_draws if self.link_draws is None else own_values(self.problem, self.effect_draws, self.link_draws)
+
+    def to_arviz(self) -> Any:
+        """As `Posterior.to_arviz`, with ``sensor_offset`` where links are drawn: the sensor's offset without their weight."""
+        data, at = super().to_arviz(), weight_columns(self.problem.row_model)
+        if at and self.link_draws is not None:
+            own = DataArray(
+                self.own_effect_draws[..., at], dims=("chain", "draw", "axis"), coords={"axis": list(WRENCH_NAMES[: len(at)])}
+            )
+            data["posterior"]["sensor_offset"] = own.assign_coords({k: data["posterior"][k] for k in ("chain", "draw")})
+        return data
+
+    def parameters(self, level: float = LEVEL) -> Parameters:
+        """Base parameters, then effect parameters, a sensor's offset without weight, with central intervals of a probability."""
+        found, rank = super().parameters(level), self.base.rank
+        values, std, low, high = (x.copy() for x in (found.values, found.std, found.low, found.high))
+        if self.link_draws is not None:
+            draws = self.own_effect_draws.reshape(-1, len(values) - rank)
+            values[rank:], std[rank:] = draws.mean(axis=0), draws.std(axis=0, ddof=1)
+            low[rank:], high[rank:] = np.quantile(draws, tails(level), axis=0)
+        else:
+            links = nearest_links(self.problem.experiment.robot, self.base, values[:rank])
+            if (offset := own_offset(self.problem, values[rank:], std[rank:], links)) is not None:
+                at = [rank + k for k in weight_columns(self.problem.row_model)]
+                values[at], std[at] = offset
+                low[at], high[at] = central_interval(*offset, level)
+        return replace(found, values=values, std=std, low=low, high=high)
+
     def effects(self) -> list[dict[str, Any]]:
         """Every effect of the model with the means and standard deviations (None: fixed) of its parameters, and units."""
-        draws = self.effect_draws
-        found = by_effect(self.problem.row_model, draws.mean(axis=(0, 1)), draws.std(axis=(0, 1), ddof=1))
+        own, rank = self.parameters(), self.base.rank
+        found = by_effect(self.problem.row_model, own.values[rank:], own.std[rank:])
         return [
             {
                 "name": effect.name, "where": effect.where,
@@ -95,5 +135,5 @@ def posterior_robot(posterior: ExperimentPosterior) -> tuple[np.ndarray, JointDy
     links = posterior.link_draws
     if links is None or not posterior.model.physical:
         return None
-    effects = posterior.effect_draws.mean(axis=(0, 1))
-    return links.mean(axis=(0, 1)), joint_dynamics(posterior.problem, effects, np.ones(len(effects), bool))
+    mean, effects = links.mean(axis=(0, 1)), posterior.effect_draws.mean(axis=(0, 1))
+    return mean, joint_dynamics(posterior.problem, mean, effects, np.ones(len(effects), bool))

@@ -345,12 +345,12 @@ def _known_of_draws(
     draws = np.concatenate([posterior.base_draws, posterior.effect_draws], axis=-1)
     draws = draws.reshape(-1, draws.shape[-1])
     nothing, mean, rank = np.zeros(draws.shape[1], bool), draws.mean(axis=0), problem.row_model.base.rank
-    return known_from(
+    known = known_from(
         problem, source="posterior", method=method, mean=mean, covariance=np.atleast_2d(np.cov(draws.T)), undetermined=nothing,
         draws=draws, urdf=urdf, link_draws=None if links is None else links.reshape(-1, links.shape[-1]), prior_draws=prior,
-        dynamics=joint_dynamics(problem, mean[rank:], ~nothing[rank:]), rel_std=rel_std, dispersion=dispersion, count=DRAWS,
-        seed=seed,
+        rel_std=rel_std, dispersion=dispersion, count=DRAWS, seed=seed,
     )  # fmt: skip
+    return replace(known, dynamics=joint_dynamics(problem, known.urdf, mean[rank:], ~nothing[rank:]))
 
 
 def _bounded(

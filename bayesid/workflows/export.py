@@ -155,7 +155,7 @@ def _of_draws(result: ExperimentPosterior | LoadedPosterior) -> IdentifiedRobot:
         names, links = result.model.effect_names, links if result.model.physical else None
     else:
         names = tuple(p["name"] for p in result.document["effect_parameters"])
-    columns = np.concatenate([result.base_draws, result.effect_draws], axis=-1)
+    columns = np.concatenate([result.base_draws, result.own_effect_draws], axis=-1)
     columns = columns.reshape(-1, columns.shape[-1])  # base parameters there always are
     if links is not None:
         links = links.reshape(-1, links.shape[-1])

@@ -21,7 +21,8 @@ from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.linalg import undetermined
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import both, in_order, one_blas_thread
-from bayesid.regression.problem import Problem, prepare, weight_columns
+from bayesid.regression.problem import Problem, prepare
+from bayesid.results.fitted_model import own_offset
 from bayesid.results.identification import Identification, NotShown
 from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
@@ -124,6 +125,7 @@ def identify(
         of_rotors = missing_rotors(problem, estimate, method, options, links, bool(mistakes))
     of_links = [*(of_rotors if links.usable else []), *links.warnings()]
     no_use = (*unusable(problem, validation, mistakes), *(() if links.usable else of_rotors))
+    rank = estimate.base.rank
     result = Identification(
         problem=problem,
         estimate=estimate,
@@ -131,7 +133,7 @@ def identify(
         validation=validation,
         agreements=tuple(agreements),
         static_alternative=alternative,
-        offset=_offset(problem, estimate, links.unconstrained),
+        offset=own_offset(problem, estimate.solution[rank:], estimate.full_std[rank:], links.unconstrained),
         not_shown=not_shown,
         warnings=no_use,
         seconds=clock.stop(),
@@ -188,23 +190,6 @@ def _lost_to_effects(problem: Problem, estimate: Estimate) -> dict[str, tuple[st
     for k in lost[~alone[lost]].tolist():
         out[base.labels[k]] = tuple(spec for spec, hidden in beside.items() if not hidden[k]) or tuple(beside)
     return out
-
-
-def _offset(problem: Problem, estimate: Estimate, links: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """The sensor's offset, freed from the weight that looks like one, which only the nominal model knows."""
-    at = [estimate.base.rank + k for k in weight_columns(problem.row_model)]
-    if not at:
-        return None
-    value, std = estimate.solution[at].copy(), estimate.full_std[at].copy()
-    absorbed = problem.row_model.base.absorbed
-    if absorbed is not None:
-        rows = absorbed[: len(at)]
-        value -= rows @ links
-        rel_std = problem.experiment.inertia_rel_std
-        share = np.sqrt(np.sum((rows * links).reshape(len(rows), -1, 10).sum(axis=2) ** 2, axis=1))
-        unknown = share > 1e-9
-        std = np.where(unknown, np.nan if rel_std is None else np.hypot(std, (rel_std or 0.0) * share), std)
-    return value, std
 
 
 def _of_what_is_not_shown(lost: NotShown) -> list[str]:

@@ -32,7 +32,7 @@ def urdf_links(problem: Problem, estimate: Estimate) -> UrdfLinks:
         moved = consistent_links(problem.regression, estimate, nominal, scaled=not stated)
         links, solution = moved.links, moved.solution
         unconstrained = nearest_links(robot, problem.row_model.base, estimate.values, ~estimate.undetermined[:rank])
-    dynamics = joint_dynamics(problem, solution[rank:], ~estimate.undetermined[rank:], estimate.solution[rank:])
+    dynamics = joint_dynamics(problem, links, solution[rank:], ~estimate.undetermined[rank:], estimate.solution[rank:])
     return UrdfLinks(
         links=links,
         unconstrained=unconstrained,

@@ -94,6 +94,29 @@ def test_offset_is_told_from_the_weight_by_the_nominal_mass(result):
     assert abs(value[2] - OFFSET[2]) < 2 * std[2] and std[2] > 2.0
 
 
+def test_what_is_written_beside_the_links_holds_none_of_their_weight(result, arm, tmp_path):
+    """What is fitted as the offset of a sensor that stays upright is offset and weight."""
+    standing = 9.81 * arm.robot.nominal[:, 0].sum() + OFFSET[2]
+    two = two_motions(puma2(tmp_path), Sensor(), offset=OFFSET, **NOISE)
+    prior, flat = (bayesid.sample(two, draws=400, seed=0, keep_going=True, prior=prior) for prior in ("nominal", "flat"))
+    written = [(result, standing), (prior, 9.81 * two.robot.nominal[:, 0].sum() + OFFSET[2])]
+    for k, (found, weighs) in enumerate(written):
+        found.write(tmp_path / str(k))
+        text = (tmp_path / str(k) / "identified.urdf").read_text()
+        mass = load_robot(tmp_path / str(k) / "identified.urdf", found.problem.experiment.robot.joint_names).nominal[:, 0].sum()
+        beside = float(re.search(r"sensor_offset@sensor.fz = (\S+) N", text)[1])
+        assert 9.81 * mass + beside == pytest.approx(weighs, abs=0.05)
+    for found in (result, prior, flat):
+        fz = found.effects()[0]["parameters"]["fz"]
+        assert abs(fz["value"] - OFFSET[2]) < 3 * fz["std"]
+        assert found.parameters()["sensor_offset@sensor.fz"].std == pytest.approx(fz["std"])
+        found.write(tmp_path / "again")
+        back = bayesid.load(tmp_path / "again" / ("posterior.json" if found is not result else "estimate.json"))
+        for level in (0.5, 0.95):
+            here, there = (r.parameters(level)["sensor_offset@sensor.fz"] for r in (found, back))
+            assert (here.low, here.value, here.high) == pytest.approx((there.low, there.value, there.high))
+
+
 def test_links_are_as_near_to_the_estimate_as_stated_and_the_urdf_loads_back(result, arm, tmp_path):
     np.testing.assert_allclose(result.base.matrix @ result.urdf.unconstrained, result.values, rtol=1e-8, atol=1e-10)
     away, moved = result.base.matrix @ result.link_parameters - result.values, result.urdf.moved
