@@ -48,12 +48,12 @@ class Payload(BodyEffect):
         return False
 
     def derived(self, values, covariance):
-        # The centre of mass c = mc / m; of a change that is no possible body it says nothing.
+        # The centre of mass c = mc / m, also of what was taken away, whose mass and first moments are negative.
         mass, out = values[0], []
         for k, axis in enumerate("xyz", 1):
-            c = values[k] / mass if mass > 0.0 else np.nan
+            c = values[k] / mass if mass else np.nan
             variance = covariance[k, k] - 2.0 * c * covariance[0, k] + c**2 * covariance[0, 0]
-            out.append((f"c{axis}", float(c), float(np.sqrt(np.abs(variance)) / mass) if mass > 0.0 else np.nan, "m"))
+            out.append((f"c{axis}", float(c), float(np.sqrt(np.abs(variance)) / abs(mass)) if mass else np.nan, "m"))
         return tuple(out)
 
 

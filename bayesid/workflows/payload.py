@@ -322,7 +322,8 @@ def _since(asked: _Asked, before: Experiment, joint: str | None) -> _Found:
             warnings.append(
                 f"These recordings do not tell the payload at {here} from {', '.join(rivals)}; the values hold if it is there."
             )
-    said = [f"Since {before.name} a payload at {here} came: log evidence {number(evidence, 3)}."] if named else []
+    came = f"something was taken away from {here}" if known.negative else f"a payload at {here} came"
+    said = [f"Since {before.name} {came}: log evidence {number(evidence, 3)}."] if named else []
     if named and others:
         said.append(f"Beside it changed: {', '.join(e.spec for e in others)}.")
     if changes.verdict in ("unknown", "named_in_part"):
@@ -383,10 +384,10 @@ def _not_shown(result: PayloadEstimate) -> list[str]:
     """What the recordings do not show, and what helps."""
     body = result.body
     if body.negative:
-        return [
-            f"The mass comes out negative, {number(float(body.mean[0]), 3)} kg: sign, axes or order of the readings are not as "
-            f"they are taken; `{call('check')}` looks for that."
-        ]
+        why = f"sign, axes or order of the readings are not as they are taken; `{call('check')}` looks for that."
+        if result.source == "reference":
+            why = "the reference carries more than this recording. The one with the payload is named first, the reference second."
+        return [f"The mass comes out negative, {number(float(body.mean[0]), 3)} kg: {why}"]
     never = {q.name: bool(hidden) for q, hidden in zip(result.quantities, result.never_shown, strict=True)}
     if not result.mass.shown:
         told = [q.name for q in result.first_moment if q.shown]

@@ -78,5 +78,6 @@ def test_a_payload_tells_its_centre_of_mass():
     assert [(name, unit) for name, _, _, unit in found] == [("cx", "m"), ("cy", "m"), ("cz", "m")]
     np.testing.assert_allclose([c for _, c, _, _ in found], [0.1, -0.05, 0.2], atol=1e-12)
     np.testing.assert_allclose([s for _, _, s, _ in found], centres.std(axis=0), rtol=0.01)
+    assert Payload("joint1", 0).derived((-values).tolist(), root @ root.T) == found  # what was taken away has one, too
     assert all(np.isnan(c) for _, c, _, _ in Payload("joint1", 0).derived([0.0] * 10, root @ root.T))
     assert InertiaError("joint1", 0).derived(values.tolist(), root @ root.T) == ()

@@ -313,6 +313,19 @@ def test_a_payload_that_held_out_parts_deny_is_not_said_to_lack_evidence(crossed
     assert "needed" not in result.warnings[0]
 
 
+def test_recordings_that_were_exchanged_are_told_as_such(tmp_path):
+    """The reference carries the payload: nothing is wrong with signs or axes of the readings."""
+    arm = experiment(bayesid.load_robot(write(tmp_path, puma560())), [])
+    tool_body = inertia.from_mass_com_inertia(1.5, np.array([0.03, -0.02, 0.1]), np.diag([0.004, 0.005, 0.003]))
+    tool = {"payload@joint6": dict(zip(inertia.PARAMETERS, tool_body.tolist(), strict=True))}
+    path = [bayesid.fourier_trajectory(arm.robot, duration=8.0, seed=1)]
+    recorder = bayesid.Recorder(drive_std=0.0005, resolution=1e-5)
+    loaded, bare = (bayesid.simulate(arm, path, effects=e, recorder=recorder, seed=2) for e in (tool, {}))
+    said = bayesid.payload(bare, reference=loaded, diagnosis=False).sentences
+    assert "negative, −1.5" in said[0] and "the reference carries more" in said[0] and "sign" not in said[0]
+    assert "something was taken away from joint6" in said[1] and not any("payload at joint6 came" in s for s in said)
+
+
 @pytest.mark.parametrize("trust", [0.0, 0.05])
 def test_a_trusted_nominal_model_does_in_place_of_a_reference(tmp_path, trust):
     robot = bayesid.load_robot(write(tmp_path, puma560()))

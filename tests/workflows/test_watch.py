@@ -11,7 +11,9 @@ from bayesid.cli import main
 from bayesid.recordings.experiment import Sensor
 from tests.simulated import experiment, puma2
 
-TOOL = {"payload@joint2": {"m": 0.5, "mcx": 0.1, "mcy": 0.02, "mcz": 0.0, "Ixx": 0.001, "Iyy": 0.02, "Izz": 0.02}}
+TOOL = {
+    "payload@joint2": {"m": 0.5, "mcx": 0.1, "mcy": 0.02, "mcz": 0.0, "Ixx": 0.002, "Ixy": -0.004, "Iyy": 0.022, "Izz": 0.023}
+}
 
 
 @pytest.fixture(scope="module")
