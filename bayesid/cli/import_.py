@@ -83,6 +83,11 @@ def _whole_numbers(context, parameter, value: str | None) -> list[int]:
 @click.option("--topics", callback=names, help="Topics of a bag to be read, by commas; default: joint states and wrenches.")
 @click.option("--episodes", callback=_whole_numbers, help="Episodes of a LeRobot data set, by commas; default: all.")
 @click.option("--hold-out", type=float, help="Share of a recording, its end, that is kept for validation, such as 0.3.")
+@click.option("--rate", type=float, help="Samples a second of tables that hold no times, such as 500.")
+@click.option(
+    "--kind", type=click.Choice(["trajectory", "poses"]), default="trajectory",
+    help="poses: every row is a separate pose at rest, and needs no time.",
+)  # fmt: skip
 @click.option("--join", is_flag=True, help="The sources are parts of one recording, such as a file a topic.")
 @UNUSED_SEED
 def import_(

@@ -240,22 +240,22 @@ def _meant(column: str, header: list[str]) -> str:
     return f'did you mean "{cut(near[0])}"? ' if near else ""
 
 
-def count_lines(path: Path, source: str, width: int, separator: str = ",", skipped: int = 0) -> int:
+def count_lines(path: Path, source: str, width: int, separator: str = ",", skipped: int = 0, first: str = "the header") -> int:
     """Count the lines; refuse one with more or fewer cells than the header. Where blanks separate, any number of them does.
 
     pandas fills and drops cells without a word where columns are chosen, so that one stray or missing comma would shift the
     numbers of its row into other columns. ``width`` is that of the header in cells; ``skipped`` lines before it may be of any
-    width.
+    width. ``first`` is what messages call the line that has it.
     """
     if separator == " ":
-        return _count_blanks(path, source, width, skipped)
+        return _count_blanks(path, source, width, skipped, first)
     lines = 0
     with path.open("rb") as handle:
         while block := handle.read(_BLOCK_BYTES) + handle.readline():
             if b"\0" in block:
                 raise InputError("holds zero bytes and is no text", file=source, remedy="export the table as CSV in UTF-8")
             if b'"' in block or block.count(b"\r") > block.count(b"\r\n"):
-                return _count_quoted(path, source, width, separator, skipped)  # what is in quotes separates nothing
+                return _count_quoted(path, source, width, separator, skipped, first)  # what is in quotes separates nothing
             codes = np.frombuffer(block, np.uint8)
             newlines = np.flatnonzero(codes == 10)
             ends = np.append(newlines, len(codes))
@@ -264,19 +264,19 @@ def count_lines(path: Path, source: str, width: int, separator: str = ",", skipp
             odd = np.flatnonzero((cells != width) & (ends > starts))
             for k in odd.tolist():
                 if lines + k >= skipped and block[starts[k] : ends[k]].strip():
-                    _refuse_width(int(cells[k]), width, lines + k + 1, source)
+                    _refuse_width(int(cells[k]), width, lines + k + 1, source, first)
             lines += len(newlines)
     return lines + 1
 
 
-def _count_quoted(path: Path, source: str, width: int, separator: str, skipped: int) -> int:
+def _count_quoted(path: Path, source: str, width: int, separator: str, skipped: int, first: str) -> int:
     """The same for a table with quotes, or with line ends of old Macintoshes: cell by cell, and slower."""
     with path.open(encoding="utf-8-sig", newline="", errors="replace") as handle:
         reader = csv.reader(handle, delimiter=separator, skipinitialspace=True)
         try:
             for row in reader:
                 if len(row) != width and reader.line_num > skipped and not _blank(row):
-                    _refuse_width(len(row), width, reader.line_num, source)
+                    _refuse_width(len(row), width, reader.line_num, source, first)
         except csv.Error as error:
             raise InputError(
                 f"line {reader.line_num}: cannot be read as CSV ({error})", file=source, remedy="check the quotes there"
@@ -284,20 +284,20 @@ def _count_quoted(path: Path, source: str, width: int, separator: str, skipped: 
     return reader.line_num + 1
 
 
-def _count_blanks(path: Path, source: str, width: int, skipped: int) -> int:
+def _count_blanks(path: Path, source: str, width: int, skipped: int, first: str) -> int:
     """The same for a table whose cells are apart by blanks: below the header, which may begin with a mark."""
     line = 0
     with path.open(encoding="utf-8-sig", errors="replace") as handle:
         for line, text in enumerate(handle, 1):
             if line > skipped + 1 and len(cells := text.split()) != width and cells:
-                _refuse_width(len(cells), width, line, source)
+                _refuse_width(len(cells), width, line, source, first)
     return line + 1
 
 
-def _refuse_width(cells: int, width: int, line: int, source: str) -> NoReturn:
+def _refuse_width(cells: int, width: int, line: int, source: str, first: str) -> NoReturn:
     remedy = "remove stray commas (decimals are written with a point)" if cells > width else "write a cell for every column"
     count = f"{cells} cell{'s' * (cells > 1)}"
-    raise InputError(f"{count} where the header has {width}", file=source, key=f"line {line}", value=cells, remedy=remedy)
+    raise InputError(f"{count} where {first} has {width}", file=source, key=f"line {line}", value=cells, remedy=remedy)
 
 
 def _blank(row: list[str]) -> bool:

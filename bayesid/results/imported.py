@@ -88,6 +88,9 @@ class Imported:
         for motion in self.experiment:
             if motion.name in (imported.name, f"{imported.name}-end"):
                 table = motion.table
+                if motion.kind == "poses":
+                    lines.append(f"  {motion.role} '{motion.name}' ({', '.join(imported.files)}): {len(table)} poses")
+                    continue
                 rate = f" at {number(1.0 / table.step, 4)} Hz" if table.step else ""
                 start = date(recording.start) if motion.name == imported.name else None
                 since = f", from {start}" if start is not None else ""
@@ -100,7 +103,8 @@ class Imported:
             alike.setdefault((signal.topic, signal.times.tobytes(), signal.held), []).append(signal)
         for signals in alike.values():
             names = ", ".join(signal.name for signal in signals)
-            lines.append(f"    {names}{f' of {signals[0].topic}' if signals[0].topic else ''}: {_times(signals[0])}")
+            times = signals[0].clock.text if self.experiment[imported.name].kind == "poses" else _times(signals[0])
+            lines.append(f"    {names}{f' of {signals[0].topic}' if signals[0].topic else ''}: {times}")
             lines += [f"      {_span(signal.ours)} from {_span(signal.columns)}{_units(signal)}" for signal in signals]
         lines += [f"    {text}" for text in recording.done]
         lines += [f"    {delay}" for delay in imported.delays]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -18,7 +19,7 @@ from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.importing.clock import lag
 from bayesid.recordings.importing.column_map import ColumnMap, load_column_map
-from bayesid.recordings.importing.found_columns import currents
+from bayesid.recordings.importing.found_columns import currents, stated_times
 from bayesid.recordings.importing.recording import Recording, joined_files, make_recording, read_source
 from bayesid.recordings.importing.signals import Signal
 from bayesid.recordings.importing.stream import Source, kind_of
@@ -59,6 +60,8 @@ def read_recording(
     topics: Sequence[str] = (),
     episodes: Sequence[int] = (),
     join_files: bool = False,
+    rate: float | None = None,
+    kind: Literal["trajectory", "poses"] = "trajectory",
     hold_out: float | None = None,
     name: str = "imported",
 ) -> Imported:
@@ -106,6 +109,10 @@ def read_recording(
         Of a LeRobot data set, those to be read; default: all.
     join_files
         Whether the files of ``source`` are parts of one recording.
+    rate
+        Samples a second of tables that hold no times [Hz].
+    kind
+        ``poses`` where every row is a separate pose at rest; then no times are needed.
     hold_out
         Share of each recording for identification, its end, that is kept for validation: a motion of its own.
     name
@@ -127,9 +134,12 @@ def read_recording(
     topics, joints = as_names(topics) or (), as_names(joints)
     _check_meant([*_paths(source), *_paths(validation)], topics=topics, clock=clock, episodes=episodes)
     options = dict(topics=topics, mapped=stated.names(), episodes=episodes)
-    given, held_out = _read(source, join_files, **options), _read(validation, join_files, **options)
+    times = stated_times(stated) if join_files else None
+    given, held_out = _read(source, times, **options), _read(validation, times, **options)
     if not given:
         raise InputError(f"no recording is given; name one ({argument('source')})")
+    if rate is not None and not (math.isfinite(rate) and rate > 0.0):
+        raise InputError(f"{argument('rate', rate)}: give samples a second, such as 500")
     if hold_out is not None and not 0.0 < hold_out < 1.0:
         raise InputError(f"{argument('hold_out', hold_out)}: give a share between 0 and 1, such as 0.3")
     if len(given) > 1 and not held_out and hold_out is None:
@@ -143,7 +153,7 @@ def read_recording(
                 raise InputError(f"{argument(key)}: {joint} is no moving joint of {file.path.name}; {suggest(joint, moving)}")
     sliding = [joint for joint in moving if file.joints[joint].kind == "prismatic"]
     made = [
-        (make_recording(one, stated, moving, joints, clock, locked=locked or {}, sliding=sliding), files)
+        (make_recording(one, stated, moving, joints, clock, kind == "poses", locked or {}, sliding, rate), files)
         for one, files in [*given, *held_out]
     ]
     joints = _shared_joints([recording for recording, _ in made])
@@ -160,7 +170,7 @@ def read_recording(
         notes.append(f"{file.path.name} states {listed(kinds)}: effects of the model, its numbers their starting values")
     names = _names([recording.source.name for recording, _ in made])
     motions = [
-        Motion(label, "identification" if k < len(given) else "validation", recording.table(label))
+        Motion(label, "identification" if k < len(given) else "validation", recording.table(label), kind=kind)
         for k, (label, (recording, _)) in enumerate(zip(names, made, strict=True))
     ]
     if hold_out is not None:
@@ -196,7 +206,7 @@ def _halves(motion: Motion, share: float) -> list[Motion]:
     table = motion.table
     cut = int(np.searchsorted(table.times, table.times[0] + (1.0 - share) * table.duration))
     end = replace(table[cut:], source=f"{motion.name}-end", notes=())
-    return [replace(motion, table=table[:cut]), Motion(f"{motion.name}-end", "validation", end)]
+    return [replace(motion, table=table[:cut]), Motion(f"{motion.name}-end", "validation", end, kind=motion.kind)]
 
 
 def _locked(
@@ -244,12 +254,12 @@ def _check_meant(paths: Sequence[Path], **given: Any) -> None:
             raise InputError(f"{argument(option)}: holds for {what} only, and none is given; leave it out")
 
 
-def _read(paths: _Paths, join_files: bool, **options: Any) -> list[tuple[Source, tuple[str, ...]]]:
-    """What files hold, with their names: a recording each, or all together one."""
+def _read(paths: _Paths, times: Sequence[str] | None, **options: Any) -> list[tuple[Source, tuple[str, ...]]]:
+    """What files hold, with their names: a recording each, or all together one, whose ``times`` are stated or none."""
     files = _paths(paths)
     sources = [(one, (path.name,)) for path in files for one in read_source(path, **options)]
-    if join_files and len(sources) > 1:
-        return [(joined_files([one for one, _ in sources]), tuple(path.name for path in files))]
+    if times is not None and len(sources) > 1:
+        return [(joined_files([one for one, _ in sources], times), tuple(path.name for path in files))]
     return sources
 
 
@@ -333,12 +343,15 @@ def _of_log(error: InputError, recordings: Mapping[str, Recording]) -> InputErro
     said = next((option for words, option in _UNITS.items() if words in text), None)
     recording = next((r for name, r in recordings.items() if text.startswith((f"{name}:", f"{name}-end:"))), None)
     theirs = {} if recording is None else recording.names
+    text = text.replace('write kind = "poses"', f"say {argument('kind', 'poses')}")
     text = re.sub(r"\bcolumn (\w+)", lambda m: f'column "{theirs[m[1]]}"' if m[1] in theirs else m[0], text)
     return InputError(f"{text} (or say so: {argument('units')} {said})" if said else text)
 
 
 def _delays(experiment: Experiment, name: str, recording: Recording) -> tuple[Delay, ...]:
     """Delays of other topics against that of the positions."""
+    if experiment[name].kind == "poses":
+        return ()
     positions = next(s for s in recording.signals if s.quantity == "q")
     out = []
     for signal in recording.signals:

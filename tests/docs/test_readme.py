@@ -88,7 +88,7 @@ def my_arm(tmp_path_factory) -> Path:
 
 
 def _write_logs(folder: Path, motions: list[Motion]) -> None:
-    """The recordings as other tools would have written them: two bags, and a table with other names and units."""
+    """The recordings as other tools would have written them: two bags, a table with other names and units, numbers alone."""
     names = ["joint1", "joint2"]
     for k, motion in enumerate(motions):
         table = motion.table
@@ -101,6 +101,10 @@ def _write_logs(folder: Path, motions: list[Motion]) -> None:
     columns = {"Zeit": 1e3 * frame["t"]} | {f"joint{k} ist": np.rad2deg(frame[f"q{k}"]) for k in (1, 2)}
     columns |= {"Strom 1": frame["tau1"] / 11.5, "Strom 2": frame["tau2"] / 9.25}
     pd.DataFrame(columns).to_csv(folder / "log.csv", index=False)
+    np.savetxt(folder / "log.txt", frame[[f"{quantity}{k}" for quantity in ("q", "q", "tau") for k in (1, 2)]])
+    still = motions[0].static
+    assert still is not None and still.wrench is not None
+    np.savetxt(folder / "poses.txt", np.hstack([np.rad2deg(still.positions), still.wrench])[::50])
 
 
 @pytest.mark.parametrize("name", tried("python"))

@@ -23,7 +23,7 @@ def read_npz(path: Path) -> tuple[Stream, ...]:
     try:
         with path.open("rb") as handle:  # numpy leaves a file that it cannot read open
             content = np.load(handle, allow_pickle=False)
-            found = {"array": content} if isinstance(content, np.ndarray) else _of_archive(content)
+            found = {path.stem: content} if isinstance(content, np.ndarray) else _of_archive(content)
     except Exception as error:  # numpy and zipfile raise whatever a damaged file leads to
         raise _unreadable(path, "a NumPy archive", error) from None
     if "signal_mapping" in found:

@@ -36,7 +36,7 @@ Course = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 class RowTimes:
     """Times of a stream's rows."""
 
-    kind: str  # ``header``, ``log`` or ``column``
+    kind: str  # ``header``, ``log``, ``column``, or ``rows`` where these are counted
     text: str  # in words
     times: np.ndarray  # (N,) [s] since `start`; NaN where a row has none
     start: int | None  # [ns since 1970]; None for a clock that counts from somewhere else
@@ -111,6 +111,12 @@ def table_clock(stream: Stream, column: str, unit: str | None, source: str, pose
     # Whole numbers have digits that floating point lacks; those without a sign cannot go below the start.
     times = (values.astype(np.float64 if values.dtype.kind == "f" else np.int64) - start) / per
     return RowTimes("column", f"{name} in {_WORDS[unit]} since 1970", times, start * (10**9 // per), column=column)
+
+
+def row_clock(rows: int, rate: float | None) -> RowTimes:
+    """The clock of a table without times: rows at a rate [Hz] that is stated, or poses, whose times only number them."""
+    text = "poses by their number" if rate is None else f"rows counted, at {rate:g} Hz as stated"
+    return RowTimes("rows", text, np.arange(rows) / (rate or 1.0), None)
 
 
 def date(ns: int | None) -> str | None:

@@ -46,8 +46,8 @@ _SPELT = {"nm": "N m", "degree": "deg", "degrees": "deg", "°": "deg", "°/s": "
 _WORDS = {
     "q": ("q", "pos", "position", "positions", "angle", "angles", "actual_q", "joint_pos", "joint_position", "joint_positions",
           "qpos"),
-    "v": ("v", "qd", "dq", "vel", "velocity", "velocities", "actual_qd", "joint_vel", "joint_velocity", "joint_velocities",
-          "qvel"),
+    "v": ("v", "qd", "dq", "qdot", "vel", "velocity", "velocities", "actual_qd", "joint_vel", "joint_velocity",
+          "joint_velocities", "qvel"),
     "qr": ("qr", "q_ref", "q_des", "q_d", "q_desired", "q_cmd", "target_q", "position_command", "commanded"),
     "tau": ("tau", "effort", "efforts", "torque", "torques", "tau_j", "joint_torque", "joint_torques", "qfrc"),
 }  # fmt: skip

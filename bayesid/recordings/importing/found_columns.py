@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from bayesid.arguments import argument
+from bayesid.arguments import argument, call
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, listed, suggest
 from bayesid.recordings.importing.column_map import (
@@ -103,23 +103,40 @@ def positions_of(streams: Sequence[Stream], stated: ColumnMap, joints: Sequence[
     return {joints[k]: _found(f"q{k + 1}", *place) for k, place in columns.items()}
 
 
-def time_column(stream: Stream, stated: ColumnMap, source: str) -> tuple[str, str | None]:
-    """The column of a table's times, the only one that could be it, and its unit where the user or its name states it."""
-    given = stated.columns.get("t")
-    if given is not None:
-        wanted = [given] if isinstance(given, str) else list(given)
-        parts = [part.strip() for name in wanted for part in name.split(",")]
-        names = [column for column in stream.columns if {column, stream.full_name(column)} & {*wanted, *parts}]
-        if not names:
-            what = listed([f'"{cut(name)}"' for name in wanted])
-            raise InputError(f"no column {what}", file=source, key="columns t", value=given, remedy=_near(wanted[0], [stream]))
-    else:
-        names = [column for column in stream.columns if _TIME.fullmatch(without_unit(column))]
-        names = names or [column for column in stream.columns if _TIME.fullmatch(re.split(r"[/.]", without_unit(column))[-1])]
-        names = [column for column in names if column == "t"] or names
+def times_of(stream: Stream, given: Sequence[str] = (), file: str = "") -> list[str]:
+    """Columns of a table that could be its times: those ``given``, with or without its file before; none: by their names."""
+    if given:
+        return [c for c in stream.columns if {c, stream.full_name(c), f"{file}/{c}"} & set(given)]
+    names = [column for column in stream.columns if _TIME.fullmatch(without_unit(column))]
+    names = names or [column for column in stream.columns if _TIME.fullmatch(re.split(r"[/.]", without_unit(column))[-1])]
+    return [column for column in names if column == "t"] or names
+
+
+def stated_times(stated: ColumnMap) -> list[str]:
+    """The columns of times that the user states, of one file or of several; none where none is stated."""
+    given = stated.columns.get("t", [])
+    wanted = [given] if isinstance(given, str) else list(given)
+    return [*wanted, *(part.strip() for name in wanted for part in name.split(",") if "," in name)]
+
+
+def time_column(stream: Stream, stated: ColumnMap, source: str, must: bool = True) -> tuple[str, str | None] | None:
+    """The column of a table's times, the only one that could be it, and its unit where the user or its name states it.
+
+    None where there is none, and none ``must`` be.
+    """
+    given = stated_times(stated)
+    names = times_of(stream, given)
+    if given and not names:
+        what = listed([f'"{cut(name)}"' for name in given])
+        raise InputError(f"no column {what}", file=source, key="columns t", value=given, remedy=_near(given[0], [stream]))
+    if not names and not must:
+        return None
     if len(names) != 1:
         what = f"times could be {listed(names)}" if names else "no column of times is found"
-        raise InputError(what, file=source, remedy=f"name it ({argument('columns')} t=NAME); {_shown([stream], 1, 't')}")
+        remedy = f"name it ({argument('columns')} t=NAME)"
+        if not names:
+            remedy += f", or state how many samples a second there are ({argument('rate', 500)} of {call('import')})"
+        raise InputError(what, file=source, remedy=f"{remedy}; {_shown([stream], 1, 't')}")
     matched = _TIME.fullmatch(without_unit(names[0]))
     by_name = _stated_unit(names[0], "t") or (known_unit("t", matched[1]) if matched and matched[1] else None)
     return names[0], stated.unit("t") or by_name
@@ -251,7 +268,8 @@ class _Finder:
             return f"the log's joints are {listed(names, 8)}: say which is which ({option})"
         groups = _groups(self.streams)
         likely = [name for name, size in groups.items() if size == len(joints) and _is_called(name, "q")]
-        example = f"q={likely[0] if likely else '{joint}/position' if len(columns) > 1 else '...'}"
+        part = f"{columns[0].removesuffix('[0]')}[0:{len(joints)}]"  # of an array whose entries have no names
+        example = f"q={likely[0] if likely else part if len(groups) == 1 else '{joint}/position' if len(columns) > 1 else '...'}"
         there = _shown(self.streams, len(joints), "q")
         return f"name their columns ({argument('columns')}, such as {example}); {there}"
 

@@ -11,12 +11,12 @@ import numpy as np
 
 from bayesid.arguments import argument, call
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import listed
+from bayesid.recordings.complaints import cut, listed
 from bayesid.recordings.importing.arrays import read_hdf5, read_mat, read_npz
 from bayesid.recordings.importing.bags import read_bag
-from bayesid.recordings.importing.clock import RowTimes, table_clock, topic_clock
+from bayesid.recordings.importing.clock import RowTimes, row_clock, table_clock, topic_clock
 from bayesid.recordings.importing.column_map import ColumnMap
-from bayesid.recordings.importing.found_columns import Layout, find_columns, positions_of, time_column
+from bayesid.recordings.importing.found_columns import Layout, find_columns, positions_of, time_column, times_of
 from bayesid.recordings.importing.signals import Signal, make_signals, resting
 from bayesid.recordings.importing.stream import Source, Stream, kind_of
 from bayesid.recordings.importing.tables import read_csv, read_lerobot, read_parquet
@@ -64,25 +64,77 @@ def read_source(
     raise InputError(what, file=path.name, remedy=remedy)
 
 
-def joined_files(sources: Sequence[Source]) -> Source:
-    """Several files that are parts of one recording: topics and tables with the same columns one after the other.
+def joined_files(sources: Sequence[Source], times: Sequence[str] = ()) -> Source:
+    """Several files that are parts of one recording: what goes on one after the other, other tables beside each other.
 
-    Tables with other columns have the names of their files before those of their columns.
+    Topics go on, and so does a table with another of the same columns and earlier times. Those beside each other have the names
+    of their files before those of their columns; one without times has those of the only one of as many rows. ``times`` are
+    columns of times that the user states; none: they are found by their names.
     """
-    groups: dict[tuple[str, frozenset[str], frozenset[str]], list[tuple[str, Stream]]] = {}
+    groups: list[list[tuple[str, Stream]]] = []
     for source in sources:
         for stream in source.streams:
-            key = (stream.name, frozenset(stream.columns), frozenset(stream.clocks))
-            groups.setdefault(key, []).append((source.name, stream))
-    tables = sum(not name for name, _, _ in groups)
-    streams = []
-    for (name, _, _), parts in groups.items():
-        (file, first), *_ = parts
-        columns = {c: np.concatenate([stream.columns[c] for _, stream in parts]) for c in first.columns}
-        clocks = {c: np.concatenate([stream.clocks[c] for _, stream in parts]) for c in first.clocks}
-        streams.append(replace(first, name=name or (file if tables > 1 else ""), columns=columns, clocks=clocks))
+            group = next((group for group in groups if _goes_on(group[-1], (source.name, stream), times)), None)
+            if group is None:
+                groups.append([(source.name, stream)])
+            else:
+                group.append((source.name, stream))
+    topics, tables = [], []
+    for (file, first), *more in groups:
+        parts = [first, *(stream for _, stream in more)]
+        columns = {c: np.concatenate([stream.columns[c] for stream in parts]) for c in first.columns}
+        clocks = {c: np.concatenate([stream.clocks[c] for stream in parts]) for c in first.clocks}
+        whole = replace(first, columns=columns, clocks=clocks)
+        if whole.name:
+            topics.append(whole)
+        else:
+            tables.append((file, whole))
     unread = dict.fromkeys(topic for source in sources for topic in source.unread)
-    return Source(sources[0].name, tuple(streams), tuple(unread))
+    return Source(sources[0].name, (*topics, *_beside(tables, times)), tuple(unread))
+
+
+def _goes_on(before: tuple[str, Stream], after: tuple[str, Stream], times: Sequence[str]) -> bool:
+    """Whether a stream is the next part of another: of the same topic, or a table of the same columns at later times."""
+    (_, one), (file, other) = before, after
+    if one.name != other.name or set(one.columns) != set(other.columns) or set(one.clocks) != set(other.clocks):
+        return False
+    if one.name:
+        return True
+    column = next(iter(times_of(other, times, file)), None)
+    if column is None:
+        return False
+    earlier, later = one.columns[column], other.columns[column]
+    numbers = earlier.dtype.kind in "fiu" and later.dtype.kind in "fiu"
+    return not numbers or bool(np.nanmin(later) > np.nanmax(earlier))
+
+
+def _beside(tables: Sequence[tuple[str, Stream]], times: Sequence[str]) -> list[Stream]:
+    """Tables that stand beside each other, those without times as columns of the only one of as many rows that has them."""
+    if len(tables) < 2:
+        return [stream for _, stream in tables]
+    timed: dict[int, list[int]] = {}
+    for k, (file, stream) in enumerate(tables):
+        if times_of(stream, times, file):
+            timed.setdefault(_rows(stream), []).append(k)
+    merged: dict[int, list[int]] = {}  # by the table that has the times, or the first of those that have none
+    for k, (_, stream) in enumerate(tables):
+        own = timed.setdefault(_rows(stream), [k])
+        merged.setdefault(own[0] if len(own) == 1 else k, []).append(k)
+    out = []
+    for members in merged.values():
+        named = [replace(stream, name="" if _called_as(stream, file) else file) for file, stream in (tables[k] for k in members)]
+        columns = {stream.full_name(column): values for stream in named for column, values in stream.columns.items()}
+        out.append(named[0] if len(named) == 1 else Stream("", columns))
+    return out
+
+
+def _rows(stream: Stream) -> int:
+    return len(next(iter(stream.columns.values())))
+
+
+def _called_as(stream: Stream, file: str) -> bool:
+    """Whether columns have the file's name already, as those of an array without names do."""
+    return all(column == file or column.startswith(f"{file}[") for column in stream.columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,14 +277,15 @@ def make_recording(
     poses: bool = False,
     locked: Collection[str] = (),
     sliding: Collection[str] = (),
+    rate: float | None = None,
 ) -> Recording:
     """Find the columns of what was read, convert them, and bring them together; joints as for `find_columns`.
 
     ``sliding`` are those joints that slide, whose units are others.
 
-    ``clock`` is ``header`` or ``log`` for topics; None: headers, where they have stamps that count. Where rows are separate
-    ``poses`` at rest, no sample is held. An `InputError` where a column is not found or could be several, a cell is no number,
-    or clocks do not meet.
+    ``clock`` is ``header`` or ``log`` for topics; None: headers, where they have stamps that count. ``rate`` [Hz] is that of
+    tables without times. Where rows are separate ``poses`` at rest, no sample is held, and no times are needed. An `InputError`
+    where a column is not found or could be several, a cell is no number, or clocks do not meet.
     """
     if not any(stream.columns for stream in source.streams):
         topics = f"; its topics are {listed(source.unread, 8)}" if source.unread else ""
@@ -246,7 +299,12 @@ def make_recording(
         if id(stream) in used and stream.clocks:
             clocks.append((stream, topic_clock(stream, clock, source.name)))
         elif id(stream) in used:
-            clocks.append((stream, table_clock(stream, *time_column(stream, stated, source.name), source.name, poses)))
+            times = time_column(stream, stated, source.name, must=rate is None and not poses)
+            if times is not None and rate is not None:
+                problem = f'has times of its own, column "{cut(times[0])}"'
+                raise InputError(problem, file=source.name, remedy=f"leave out {argument('rate', rate)}")
+            one = row_clock(_rows(stream), rate) if times is None else table_clock(stream, *times, source.name, poses)
+            clocks.append((stream, one))
     starts = [one.start for _, one in clocks if one.start is not None]
     if starts and len(starts) < len(clocks):
         kinds = "; ".join(f"{stream.name}: {one.text}" for stream, one in clocks)

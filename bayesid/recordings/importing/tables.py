@@ -25,23 +25,28 @@ _LONGEST_LINE = 1 << 20  # of a text that is a table [bytes]
 def read_csv(path: Path) -> Stream:
     """Read a table of texts; commas, semicolons, tabs, bars or blanks separate, and but for commas decimals may have one.
 
-    An `InputError` where it is binary, empty, without a header, or with rows of another width, as a file that was cut off has.
+    Numbers without a header, such as a matrix that savetxt writes, are an array of the file's name: ``log[0]``, ``log[1]``, ...
+    An `InputError` where it is binary, empty, or with rows of another width, as a file that was cut off has.
     """
     import pandas as pd
 
     lines, wrong = _first_lines(path), partial(InputError, file=path.name)
-    skipped, separator = _header_line(lines, path.name)
-    header = [name.strip() for name in _cells(lines[skipped].lstrip("# "), separator)]
+    first, separator, named = _first_line(lines, path.name)
+    header = [name.strip() for name in _cells(lines[first].lstrip("# "), separator)]
     trailing = len(header) > 1 and not header[-1]  # some loggers end every line with a separator
+    if not named:
+        width = len(header) - trailing
+        header = ([path.stem] if width == 1 else [f"{path.stem}[{k}]" for k in range(width)]) + [""] * trailing
     for name in header[: len(header) - trailing]:
         if header.count(name) > 1 and name:
             raise wrong(f"there are {header.count(name)} of it", key=f"column {cut(name)}", remedy="keep one")
-    decimal = _decimal(lines[skipped + 1 :], separator)
-    count_lines(path, path.name, len(header), separator, skipped)
+    skipped = first + named + _is_numbering(lines, first, separator)
+    decimal = _decimal(lines[skipped:], separator)
+    count_lines(path, path.name, len(header), separator, first, "the header" if named else "the first row")
     between = r"\s+" if separator == " " else separator
     try:
         frame: Any = pd.read_csv(
-            path, sep=between, decimal=decimal, header=None, names=list(range(len(header))), skiprows=skipped + 1,
+            path, sep=between, decimal=decimal, header=None, names=list(range(len(header))), skiprows=skipped,
             index_col=False, skipinitialspace=True, encoding="utf-8-sig", na_values=EMPTY, low_memory=False,
         )  # fmt: skip
     except (ValueError, OverflowError) as error:  # pandas' parser errors and Unicode's are ValueErrors too
@@ -107,14 +112,18 @@ def _first_lines(path: Path) -> list[str]:
     return (lines if len(block) < _LONGEST_LINE or len(lines) < 2 else lines[:-1])[: 10 * _SNIFFED]  # the last may be cut
 
 
-def _header_line(lines: list[str], source: str) -> tuple[int, str]:
-    """Index of the line that names the columns, after comments and blank lines, and what separates them."""
+def _first_line(lines: list[str], source: str) -> tuple[int, str, bool]:
+    """Index of the first line of the table, after remarks and blank lines, what separates cells, and whether it has names."""
     filled = [k for k, line in enumerate(lines) if line.strip() and not re.fullmatch(r"\s*sep=.\s*", line)]  # sep= is Excel's
+    if not filled:
+        raise InputError("is empty", file=source, remedy="give a table with one row per sample")
     first = next((k for k in filled if not is_number(re.split(r"[,;|\s]", lines[k].strip())[0])), None)
     if first is None:
-        if filled:
-            raise InputError(f"line {filled[0] + 1} holds numbers", file=source, remedy="write a header that names the columns")
-        raise InputError("is empty", file=source, remedy="give a table with a header and one row per sample")
+        first = filled[0]
+        marks = [mark for mark in (";", "\t", "|", ",") if mark in lines[first].strip()]
+        if marks == [","] and re.search(r"\d\s+[-+\d]", lines[first]):  # between blanks commas are those of decimals
+            marks = []
+        return first, (marks or [" "])[0], False
     for after in [k for k in filled if k > first]:  # remarks before a header, which may begin as they do
         if not lines[after].lstrip().startswith(("#", "%")) and not _is_remark(lines[first], lines[after]):
             break
@@ -123,11 +132,17 @@ def _header_line(lines: list[str], source: str) -> tuple[int, str]:
     separator = max(counts, key=lambda s: counts[s])
     widths = {len(_cells(line.lstrip("# "), " ")) for line in lines[first:] if line.strip()}
     if not counts[separator] and len(widths) == 1 and widths != {1}:
-        return first, " "  # as numpy, and logs of Universal Robots' RTDE, have it
+        return first, " ", True  # as numpy, and logs of Universal Robots' RTDE, have it
     if not counts[separator]:
         problem = f'line {first + 1} names one column, "{cut(lines[first].strip())}"'
         raise InputError(problem, file=source, remedy="separate columns with commas, semicolons or tabs")
-    return first, separator
+    return first, separator, True
+
+
+def _is_numbering(lines: list[str], first: int, separator: str) -> bool:
+    """Whether a line numbers the columns from zero, as pandas does where they have no names."""
+    cells = [cell.strip() for cell in _cells(lines[first], separator)]
+    return len(cells) > 2 and cells == [str(k) for k in range(len(cells))]
 
 
 def _cells(line: str, separator: str) -> list[str]:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import scipy.io
 
 import bayesid
 from bayesid.cli import main
@@ -251,6 +252,72 @@ def test_files_of_topics_are_joined(known, tmp_path):
         bayesid.read_recording(files, known.urdf, join_files=True, sensor="wrist_ft")
 
 
+def matrix(path: Path, values: np.ndarray) -> None:
+    """A matrix alone in a file, in the format that its ending says."""
+    if path.suffix == ".mat":
+        scipy.io.savemat(path, {path.stem: values.reshape(len(values), -1)})
+    elif path.suffix == ".npy":
+        np.save(path, values)
+    else:
+        np.savetxt(path, values)
+
+
+@pytest.mark.parametrize("ending", [".txt", ".npy", ".mat"])
+def test_files_of_a_quantity_each_are_joined(ending, known, tmp_path):
+    """One without times has those of the file that has some; they could not be named, and those of one width were put on end."""
+    files = [tmp_path / f"{name}{ending}" for name in ("t", "q", "qDot", "tau")]
+    for path, values in zip(files, (known.t, known.q, known.v, known.tau), strict=True):
+        matrix(path, values)
+    table = bayesid.read_recording(files, known.urdf, joints=JOINTS, join_files=True).experiment.motions[0].table
+    for name, values in (("times", known.t), ("positions", known.q), ("velocities", known.v), ("torques", known.tau)):
+        np.testing.assert_allclose(getattr(table, name), values, rtol=0.0, atol=1e-15)
+
+
+def test_files_of_a_quantity_each_with_the_joints_as_columns_are_joined(known, tmp_path):
+    """Their columns are the same and their times, too: they are no parts of one after the other."""
+    for name, values in (("position", known.q), ("effort", known.tau)):
+        frame = pd.DataFrame(values, columns=list(JOINTS))
+        frame.insert(0, "t", known.t)
+        frame.to_csv(tmp_path / f"{name}.csv", index=False)
+    files = [tmp_path / "position.csv", tmp_path / "effort.csv"]
+    columns = {"q": "position/{joint}", "tau": "effort/{joint}"}
+    table = bayesid.read_recording(files, known.urdf, joints=JOINTS, columns=columns, join_files=True).experiment.motions[0].table
+    for name, values in (("times", known.t), ("positions", known.q), ("torques", known.tau)):
+        np.testing.assert_array_equal(getattr(table, name), values)
+
+
+def test_rows_without_times_have_those_of_the_rate_that_is_stated(known, tmp_path):
+    np.savetxt(tmp_path / "log.txt", np.hstack([known.q, known.tau]))
+    columns = {"q": "log[0:2]", "tau": "log[2:4]"}
+    with pytest.raises(InputError, match=r"state how many samples a second there are \(rate=500 of bayesid.read_recording\)"):
+        bayesid.read_recording(tmp_path / "log.txt", known.urdf, joints=JOINTS, columns=columns)
+    rate = 1.0 / known.t[1]
+    imported = bayesid.read_recording(tmp_path / "log.txt", known.urdf, joints=JOINTS, columns=columns, rate=rate)
+    np.testing.assert_allclose(imported.experiment.motions[0].table.times, known.t, rtol=1e-12)
+    assert imported.to_dict()["recordings"][0]["signals"][0]["clock"] == "rows"
+    np.savetxt(tmp_path / "log.txt", np.hstack([known.q, known.tau, known.t[:, None]]))
+    columns["t"] = "log[4]"
+    with pytest.raises(InputError, match=r'has times of its own, column "log\[4\]"; leave out rate'):
+        bayesid.read_recording(tmp_path / "log.txt", known.urdf, joints=JOINTS, columns=columns, rate=rate)
+    with pytest.raises(InputError, match="give samples a second"):
+        bayesid.read_recording(tmp_path / "log.txt", known.urdf, joints=JOINTS, columns=columns, rate=0.0)
+
+
+def test_poses_at_rest_are_imported_as_such_and_need_no_times(known, tmp_path):
+    """A row a pose: a file of few was refused with what no import could say, and one of more was taken for a trajectory."""
+    rows = slice(None, None, len(known.t) // 15)
+    np.savetxt(tmp_path / "log.txt", np.hstack([known.q[rows], known.wrench[rows]]))
+    options = dict(joints=JOINTS, columns={"q": "log[0:2]", "wrench": "log[2:8]"}, sensor="wrist_ft")
+    with pytest.raises(InputError, match=r'no trajectory .* say kind="poses" if each row is a pose at rest'):
+        bayesid.read_recording(tmp_path / "log.txt", known.urdf, rate=1.0, **options)
+    imported = bayesid.read_recording(tmp_path / "log.txt", known.urdf, kind="poses", **options)
+    (motion,) = imported.experiment.motions
+    assert motion.kind == "poses" and f"{len(motion.table)} poses\n" in str(imported)
+    np.testing.assert_allclose(motion.table.wrench, known.wrench[rows], rtol=0.0, atol=1e-12)
+    written = bayesid.load_experiment(imported.write(tmp_path / "written"))
+    assert written.motions[0].kind == "poses"
+
+
 def test_a_joint_state_of_rostopic_is_read_by_its_names(known, tmp_path):
     """``rostopic echo -p`` writes names in columns of their own, and positions by number in the message's order."""
     frame = pd.DataFrame({"%time": START + known.ns})
@@ -282,7 +349,6 @@ def frame_with(known: Known, change) -> str:
 BROKEN = {
     "empty": (lambda known: "", "is empty"),
     "a header alone": (lambda known: "time,q1\n", "no rows"),
-    "numbers alone": (lambda known: "0,1,2\n1,2,3\n", "holds numbers"),
     "zero bytes": (lambda known: "t,q1\0", "zero bytes"),
     "cut off in a row": (
         lambda known: by_joint(known, time=known.t).to_csv(index=False)[:-40], "line 1001: 5 cells where the header has 7",

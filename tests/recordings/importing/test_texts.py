@@ -61,11 +61,36 @@ def test_a_table_is_read_as_it_was_written(case, known, tmp_path):
         np.testing.assert_allclose(getattr(table, name), values, rtol=0.0, atol=rounding)
 
 
-@pytest.mark.parametrize("separator", [",", ";", "\t", " ", "|"])
-def test_numbers_without_names_are_told_as_such(separator, known, tmp_path):
-    """The first row was taken for names of columns, unless commas separate."""
-    csv(sep=separator, header=False)(tmp_path / "log.txt", frame(known))
-    with pytest.raises(InputError, match=r"log.txt: line 1 holds numbers; write a header that names the columns"):
+#: A matrix of numbers as it is written without names.
+MATRICES = {
+    **{f"separated by {mark!r}": csv(sep=mark, header=False) for mark in (",", ";", "\t", " ", "|")},
+    "decimal commas": csv(sep=";", decimal=",", header=False),
+    "decimal commas between blanks": csv(sep=" ", decimal=",", header=False),
+    "commas and blanks, as savetxt has it": numpy(delimiter=", "),
+    "a separator that ends each row": lambda path, frame: path.write_text(
+        frame.to_csv(header=False, index=False).replace("\n", ",\n")
+    ),
+    "columns that pandas numbers": lambda path, frame: pd.DataFrame(frame.to_numpy()).to_csv(path, index=False),
+}
+
+
+@pytest.mark.parametrize("case", MATRICES)
+def test_numbers_without_names_are_an_array_of_the_files_name(case, known, tmp_path):
+    """It was refused, so that a matrix of savetxt or of MATLAB's had to be written anew."""
+    MATRICES[case](tmp_path / "log.txt", frame(known))
+    with pytest.raises(InputError, match=r"name their columns \(columns, such as q=log\[0:2\]\); its columns are: log\[0:5\]"):
+        bayesid.read_recording(tmp_path / "log.txt", known.urdf, joints=JOINTS)
+    columns = {"t": "log[0]", "q": "log[1:3]", "tau": "log[3:5]"}
+    table = bayesid.read_recording(tmp_path / "log.txt", known.urdf, joints=JOINTS, columns=columns).experiment.motions[0].table
+    for name, values in (("times", known.t), ("positions", known.q), ("torques", known.tau)):
+        np.testing.assert_allclose(getattr(table, name), values, rtol=0.0, atol=1e-12)
+
+
+def test_a_row_of_numbers_that_is_cut_off_is_refused(known, tmp_path):
+    numpy()(tmp_path / "log.txt", frame(known))
+    with (tmp_path / "log.txt").open("a", encoding="utf-8") as file:
+        file.write("2.0 0.1\n")
+    with pytest.raises(InputError, match=r"log.txt: line 251: 2 cells where the first row has 5"):
         bayesid.read_recording(tmp_path / "log.txt", known.urdf, joints=JOINTS)
 
 
