@@ -14,7 +14,7 @@ from bayesid.workflows.accuracy import add_certificate, check_estimate
 @click.command()
 @shared.EXPERIMENT
 @shared.model_options
-@click.option("--method", default=bayesid.DEFAULT_METHOD, show_default=True, help=", ".join(bayesid.METHODS))
+@shared.one_method
 @shared.BOUNDS
 @shared.STATIC
 @click.option("--runs", type=int, default=20, show_default=True, help="Simulated recordings of every level; 0: vary nothing.")
@@ -34,10 +34,12 @@ def accuracy(
     if (resume or estimate) and not certificate:
         raise InputError(f"--{'resume' if resume else 'estimate'} is for --certificate; add that, or leave it out")
     with shared.running("accuracy", out) as run:
-        filters, chosen = shared.low_pass(filter_l, filter_d), bayesid.estimator(method)
+        filters, chosen = shared.low_pass(filter_l, filter_d), None if method is None else bayesid.estimator(method)
         loaded = shared.load(experiment, model, effects_from)
+        written = None
+        if estimate is not None:
+            written, chosen = check_estimate(estimate, loaded, chosen)
         chosen = shared.bounded(chosen, bounds, loaded)
-        written = None if estimate is None else check_estimate(estimate, loaded, chosen)
         with run.resumable(loaded.name) as kept:
             result = bayesid.accuracy(
                 loaded, method=chosen, low_pass=filters, certificate=twins if certificate else 0, kept=kept, resume=resume,

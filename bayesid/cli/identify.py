@@ -12,7 +12,7 @@ from bayesid.cli.terminal import say
 @click.command()
 @shared.EXPERIMENT
 @shared.model_options
-@click.option("--method", help=f"{', '.join(bayesid.METHODS)}  [default: {bayesid.DEFAULT_METHOD}; with a mount that rings, gls]")
+@shared.one_method
 @shared.BOUNDS
 @shared.STATIC
 @click.option("--unconstrained-urdf", is_flag=True, help="Also write the links with exactly the estimated base parameters.")
@@ -25,8 +25,7 @@ def identify(experiment, filter_l, filter_d, model, effects_from, method, bounds
         filters = shared.low_pass(filter_l, filter_d)
         chosen = None if method is None else bayesid.estimator(method)
         loaded = shared.load(experiment, model, effects_from)
-        if bounds is not None:
-            chosen = shared.bounded(chosen or bayesid.estimator(bayesid.DEFAULT_METHOD), bounds, loaded)
+        chosen = shared.bounded(chosen, bounds, loaded)
         result = bayesid.identify(loaded, method=chosen, low_pass=filters, progress=run.progress, **options)
         report = run.write(result, loaded.name)
     say(bayesid.summary(result), result.warnings)

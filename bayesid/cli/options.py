@@ -92,6 +92,14 @@ def together(*options: Callable) -> Callable:
     return lambda command: functools.reduce(lambda made, option: option(made), reversed(options), command)
 
 
+def one_method(command: Callable) -> Callable:
+    """``--method`` of a verb that fits with one estimator."""
+    from bayesid.estimators import DEFAULT_METHOD, METHODS  # not of every verb: that takes time
+
+    told = f"{', '.join(METHODS)}  [default: {DEFAULT_METHOD}; with a mount that rings, gls]"
+    return click.option("--method", help=told)(command)
+
+
 def names(_context, _parameter, value: str | None) -> list[str] | None:
     """Parts of an option that commas separate."""
     return None if value is None else [part.strip() for part in value.split(",") if part.strip()]
@@ -209,7 +217,8 @@ def bounded(method, bounds: Path | None, loaded):
     if bounds is None:
         return method
     if not isinstance(method, Physical):
-        raise InputError(f"--bounds is for an estimator that keeps to bounds, which {method.name} does not; add --method sdp")
+        name = "the default one" if method is None else method.name
+        raise InputError(f"--bounds is for an estimator that keeps to bounds, which {name} does not; add --method sdp")
     return replace(method, bounds=load_bounds(bounds, loaded.robot, loaded.locked))
 
 

@@ -13,7 +13,7 @@ from bayesid.estimators.prior_check import conflicts
 @click.command()
 @shared.EXPERIMENT
 @shared.model_options
-@click.option("--draws", type=int, default=2000, show_default=True, help="Draws in all.")
+@click.option("--draws", type=int, default=2000, show_default=True, help="Draws in all, rounded up to as many of each chain.")
 @click.option("--chains", type=int, default=4, show_default=True, help="Independent chains.")
 @click.option("--prior", help="nominal or flat; default: nominal where the experiment has an inertia_rel_std above 0.")
 @click.option("--prior-std", type=float, help="Relative standard deviation of every nominal mass; default: inertia_rel_std.")

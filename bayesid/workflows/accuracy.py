@@ -14,10 +14,12 @@ from bayesid.design.accuracy.sensor_choice import choose_sensor, read_sensors
 from bayesid.design.accuracy.susceptibility import susceptibility
 from bayesid.design.accuracy.sweeps import Sweeps, sweep
 from bayesid.errors import InputError
-from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator
+from bayesid.estimators import METHODS, Estimator, estimator
+from bayesid.estimators.nonlinear import default_method, solve
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
+from bayesid.regression.problem import prepare
 from bayesid.results.accuracy import Accuracy
 from bayesid.results.files import amend, read_document
 from bayesid.results.identification import Identification
@@ -67,7 +69,7 @@ def accuracy(
         As in `bayesid.identify`.
     method
         Name of an estimator, or an object with ``fit(regression)``; default that of the identification, or
-        `bayesid.DEFAULT_METHOD`.
+        what `bayesid.identify` takes.
     runs
         Twins that are simulated of every level of a factor; 0: no factor is varied.
     certificate
@@ -124,20 +126,21 @@ def accuracy(
     return Accuracy(bench, std, varied, biases, found, choice, _warnings(bench, varied, found), clock.stop())
 
 
-def check_estimate(path: str | Path, experiment: Experiment, method: Estimator) -> Path:
-    """The ``estimate.json`` (or its folder's) of an earlier run of ``identify`` with this experiment and method.
+def check_estimate(path: str | Path, experiment: Experiment, method: Estimator | None) -> tuple[Path, Estimator]:
+    """The ``estimate.json`` (or its folder's) of an earlier run of ``identify`` with this experiment and method, and that method.
 
-    It is refused early where a certificate cannot be written into it.
+    It is refused early where a certificate cannot be written into it. Without a method, that is the one of the file.
     """
     path = Path(path)
     path = path / "estimate.json" if path.is_dir() else path
     document = read_document(path, argument("estimate"))
+    method = estimator(str(document.get("method"))) if method is None else method
     for key, own in (("experiment", experiment.name), ("method", method.name)):
         if document.get(key) != own:
             raise InputError(
                 f"{argument('estimate', str(path))}: its {key} is {document.get(key)!r}, not {own!r}; give the same {key} here"
             )
-    return path
+    return path, method
 
 
 def add_certificate(path: Path, result: Accuracy) -> bool:
@@ -164,10 +167,13 @@ def _bench(
     clock: Clock,
 ) -> Bench:  # fmt: skip
     """The bench of an experiment that is fitted now, or of one that was."""
+    chosen = None if method is None else estimator(method)  # refused before any work is done
     if not isinstance(given, Identification):
         experiment = as_experiment(given, "an Identification")
         clock("estimate")
-        return make_bench(experiment, estimator(method or DEFAULT_METHOD), options, nominal=nominal)
+        problem = prepare(experiment, options)
+        chosen = estimator(default_method(problem)) if chosen is None else chosen
+        return make_bench(experiment, chosen, options, *solve(problem, chosen), nominal=nominal)
     if options != FitOptions():
         raise InputError("accuracy: an identification has its own channel, motions, effects and filter; leave them out")
     problem, estimate = given.problem, given.estimate
@@ -178,7 +184,7 @@ def _bench(
         problem.channel, problem.row_model.filters, problem.fitted, problem.effects,
         "motion" if problem.subtracts else "joint", smoother.bandwidth if smoother.reason == "as given" else None,
     )  # fmt: skip
-    return make_bench(problem.experiment, estimator(method or estimate.method), own, problem, estimate, nominal=nominal)
+    return make_bench(problem.experiment, chosen or estimator(estimate.method), own, problem, estimate, nominal=nominal)
 
 
 def _warnings(bench: Bench, varied: Sweeps | None, found: CoverageCertificate | None) -> tuple[str, ...]:

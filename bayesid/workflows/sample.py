@@ -103,7 +103,7 @@ def sample(
     experiment
         Loaded, its folder, or a regression of one's own.
     draws, seed
-        Draws in all; the same seed gives the same draws.
+        Draws in all, rounded up to as many of each chain; the same seed gives the same draws.
     prior
         ``nominal``: links near the nominal ones, and bodies that can exist only; ``flat``: on the base parameters,
         without bounds; or a `Prior`. Default: nominal where the experiment says how far its links are trusted.
