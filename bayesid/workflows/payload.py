@@ -49,6 +49,10 @@ _COMMON_GAIN = (
     "A sensor whose axes all read too much by one share looks like a heavier payload: the mass is as right as the sensor's gain; "
     "a known mass hung on tells."
 )
+_ZERO = (
+    "A zero of the sensor that moved along gravity between the two recordings reads like another payload, {kg} kg for every "
+    "newton: do not zero it in between, and record both soon after each other."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,6 +330,11 @@ def _since(asked: _Asked, before: Experiment, joint: str | None) -> _Found:
     said = [f"Since {before.name} {came}: log evidence {number(evidence, 3)}."] if named else []
     if named and others:
         said.append(f"Beside it changed: {', '.join(e.spec for e in others)}.")
+    sensor, effects = experiment.sensor, found.reference.effects
+    weight = float(np.linalg.norm(experiment.robot.gravity))
+    # In the wrist a sensor turns against gravity, and its offset does not.
+    if sensor is not None and sensor.joint is None and weight and any(e.name == "sensor_offset" for e in effects):
+        said.append(_ZERO.format(kg=number(1.0 / weight, 2)))
     if changes.verdict in ("unknown", "named_in_part"):
         warnings.append("More changed since the reference than is named; the intervals do not count it.")
     body = body_of(found.reference.robot, at)

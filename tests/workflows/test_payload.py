@@ -313,6 +313,18 @@ def test_a_payload_that_held_out_parts_deny_is_not_said_to_lack_evidence(crossed
     assert "needed" not in result.warnings[0]
 
 
+def test_a_zero_that_moves_along_gravity_reads_like_a_payload_and_is_said_to(tmp_path):
+    """Under the base, where the whole weight is a constant reading."""
+    arm = experiment(puma2(tmp_path), [], Sensor(None, np.array([0.0, 0.0, -0.1]), np.zeros(3)))
+    path = [bayesid.fourier_trajectory(arm.robot, duration=8.0, seed=1)]
+    before, after = (bayesid.simulate(arm, path, recorder=NOISE, seed=k) for k in (1, 2))
+    (motion,) = after.motions
+    moved = replace(motion.table, wrench=motion.table.wrench + np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0]))
+    result = bayesid.payload(replace(after, motions=(replace(motion, table=moved),)), reference=before, diagnosis=False)
+    assert result.mass.value == pytest.approx(1.0, abs=0.02)
+    assert any("0.10 kg for every newton: do not zero it in between" in s for s in result.sentences)
+
+
 def test_recordings_that_were_exchanged_are_told_as_such(tmp_path):
     """The reference carries the payload: nothing is wrong with signs or axes of the readings."""
     arm = experiment(bayesid.load_robot(write(tmp_path, puma560())), [])
