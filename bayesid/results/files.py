@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import tempfile
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 
 from bayesid.arguments import argument
 from bayesid.drawing import Plots, registered_by_report
-from bayesid.errors import InputError
+from bayesid.errors import BayesidWarning, InputError
 from bayesid.recordings.complaints import cut
 from bayesid.recordings.whole import whole_folder
 from bayesid.results.frames import frame
@@ -154,10 +155,12 @@ def write_results(folder: str | Path, documents: Mapping[str, Any], files: Files
     Every document gets a key ``files``: the SHA-256 of each other file written with it. By that a later run knows which files
     are an earlier one's, and may be replaced; those of the same documents that it does not make are removed. ``documents``
     are by file name, in which numbers that are not finite are refused. An `InputError` where the folder cannot be written, or a
-    file of the user's own would be replaced.
+    file of the user's own would be replaced; a warning where one is replaced that belongs to other documents there.
     """
     folder = check_output(folder)
     _check_ours(folder, (*documents, *files, REPORT))
+    others = sorted(path.name for path in folder.glob("*.json") if path.name not in documents and _document(path) is not None)
+    lost = [name for name in (*files, REPORT) if name in {path.name for path in _unchanged_files(folder, others)}]
     left_over = [path for path in _unchanged_files(folder, documents) if path.name not in (*documents, *files, REPORT)]
     try:
         with whole_folder(folder) as made:
@@ -176,6 +179,9 @@ def write_results(folder: str | Path, documents: Mapping[str, Any], files: Files
         raise InputError(
             f"{argument('folder', str(folder))}: cannot be written ({error.strerror or error}); name another folder"
         ) from None
+    if lost:
+        what = f"{' and '.join(lost)} of {' and '.join(others)} in {folder} {'is' if len(lost) == 1 else 'are'}"
+        warnings.warn(f"{what} replaced; give every verb a folder of its own to keep both", BayesidWarning, stacklevel=2)
     return folder / REPORT
 
 

@@ -48,7 +48,8 @@ def urdf_text(robot: Robot, parameters: np.ndarray, dynamics: JointDynamics | No
     a joint or an ``<inertial>`` has twice stay as they are read: the first one (MuJoCo refuses others).
 
     Parameters are ten a body (b, 10) or (10 b,). Friction of joints that ``dynamics`` does not name stays as it is, what it has
-    left out goes; what a URDF has no place for stands in comments.
+    left out goes; what a URDF has no place for stands in comments. Meshes and textures that stand beside the robot's own file are
+    named by their whole paths, for the new file stands elsewhere.
     """
     dynamics = dynamics or JointDynamics({})
     root = robot.description.root
@@ -75,6 +76,10 @@ def urdf_text(robot: Robot, parameters: np.ndarray, dynamics: JointDynamics | No
         for child in list(element):
             if kept[child.tag] is not child:
                 element.remove(child)
+    for element in (*root.iter("mesh"), *root.iter("texture")):
+        beside = robot.urdf.parent / element.get("filename", "")
+        if beside.is_file():
+            element.set("filename", beside.resolve().as_posix())
     for line in reversed(dynamics.comments()):
         root.insert(0, ET.Comment(f" {line.replace('--', '- -')} "))
     ET.indent(root)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import bayesid
 from bayesid.errors import InputError
 from bayesid.recordings import whole
 from bayesid.recordings.whole import uninterrupted, whole_folder
@@ -51,7 +52,8 @@ def test_what_the_new_run_does_not_make_goes_unless_the_user_changed_it(tmp_path
     run("model.toml")
     assert sorted(contents(tmp_path)) == ["diagnosis.json", "model.toml", "next_motion.csv", "report.html"]
     run("model.toml", "draft_effect.toml")
-    write_results(tmp_path, {"estimate.json": {"schema": 1, "experiment": "arm"}}, {}, "<html></html>")
+    with pytest.warns(bayesid.BayesidWarning, match="^report.html of diagnosis.json in .* is replaced; give every verb a folder"):
+        write_results(tmp_path, {"estimate.json": {"schema": 1, "experiment": "arm"}}, {}, "<html></html>")
     assert "draft_effect.toml" in contents(tmp_path)  # of another verb's run, which stays
 
 

@@ -1,5 +1,8 @@
 """load_robot against Pinocchio: merged and split links, joint order, limits, messages."""
 
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -7,6 +10,7 @@ import pytest
 from bayesid.errors import InputError
 from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
+from bayesid.robot.urdf import write_urdf
 from tests.robots import ROBOTS, write
 
 
@@ -186,3 +190,22 @@ def test_joints_of_many_degrees_of_freedom(tree, kind, tmp_path):
     assert kind in text
     with pytest.raises(InputError, match="'left_wrist' has . degrees of freedom"):
         load_robot(write(tmp_path, text))
+
+
+def test_meshes_beside_the_robots_file_are_found_from_any_folder(tmp_path):
+    kept = ("package://arm/a.stl", "nowhere.stl", "")
+    shapes = "".join(
+        f'<visual><geometry><mesh filename="{name}"/></geometry></visual>' for name in ("meshes/a.stl", "../b.stl", *kept)
+    )
+    own, other = tmp_path / "arm", tmp_path / "results" / "identify"
+    for folder in (own / "meshes", other):
+        folder.mkdir(parents=True)
+    for mesh in (own / "meshes" / "a.stl", tmp_path / "b.stl"):
+        mesh.touch()
+    path = write(own, ROBOTS["ur5"]())
+    path.write_text(path.read_text().replace("<inertial>", f"{shapes}<inertial>", 1))
+    robot = load_robot(path)
+    write_urdf(robot, robot.nominal, other / "identified.urdf")
+    names = [mesh.get("filename") for mesh in ET.parse(other / "identified.urdf").iter("mesh")]
+    assert [Path(name) for name in names[:2]] == [(own / "meshes" / "a.stl").resolve(), (tmp_path / "b.stl").resolve()]
+    assert tuple(names[2:]) == kept
