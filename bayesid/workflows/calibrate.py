@@ -78,7 +78,7 @@ def calibrate(
     Raises
     ------
     InputError
-        There is no sensor, or a mass that cannot be used.
+        There is no sensor, a mass that cannot be used, or a reference that carries more.
     """
     chosen = some_options("calibrate", options, motions=motions, effects=effects)
     clock = Clock(progress)
@@ -117,9 +117,14 @@ def calibrate(
         weighings.append(from_sensor(other.problem, other.estimate, body or 0))
     if mass is not None and weighings and all(w.shown[0] for w in weighings):
         weighed = weighings[0].mean[0] - sum(w.mean[0] for w in weighings[1:])
-        variance = sum(w.covariance[0, 0] for w in weighings)
+        variance, half = sum(w.covariance[0, 0] for w in weighings), max(w.half for w in weighings)
+        if weighed + half * np.sqrt(variance) < 0.0:
+            raise InputError(
+                f"{argument('reference')}: the sensor carries {number(-weighed, 3)} kg more there than in {experiment.name}; "
+                "name the recording with the known mass first, and the one without it as reference"
+            )
         std = float(np.sqrt(variance + (weighed / mass * mass_std) ** 2)) / mass
-        gain = Quantity.of("gain", "1", weighed / mass - 1.0, std, max(w.half for w in weighings))
+        gain = Quantity.of("gain", "1", weighed / mass - 1.0, std, half)
     clock("result")
     return Calibration(
         fit=best, sensor=sensor.joint or "base", found=_quantities(best),

@@ -79,6 +79,8 @@ def test_a_known_mass_tells_a_common_gain(wrist):
     assert bayesid.calibrate(heavy).common_gain is None  # and no axis is named for what all share
     told = bayesid.calibrate(heavy, reference=alone, mass=1.5).common_gain
     assert told.low < 0.02 < told.high and told.low > 0.0
+    with pytest.raises(bayesid.InputError, match="carries 1.53 kg more there .*with the known mass first"):
+        bayesid.calibrate(alone, reference=heavy, mass=1.5)
     whole = bayesid.calibrate(alone, mass=float(wrist.robot.nominal[6, 0]), mass_std=0.002)
     assert abs(whole.common_gain.value - 0.02) < 4.0 * whole.common_gain.std and "differs from none" in str(whole)
     doubted = bayesid.calibrate(alone, mass=float(wrist.robot.nominal[6, 0]), mass_std=0.1).common_gain
