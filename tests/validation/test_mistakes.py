@@ -349,6 +349,34 @@ def test_a_wrench_in_base_axes_is_named_whatever_its_sign(tmp_path: Path) -> Non
         assert [(m.name, m.where) for m in found] == [("wrench_frame", where)]
 
 
+def weighed(folder: Path, gravity: np.ndarray) -> Experiment:
+    """Poses of the wrist's last joints on a base that is stated to stand upright, weighed under another gravity by Pinocchio."""
+    robot = load_robot(write(folder, wrist_sensor_arm()), sensor_joint="wrist_ft")
+    lift, five, six = np.radians([0.0, -45.0]), np.radians([0.0, -90.0, -45.0, 45.0]), np.radians([0.0, 90.0, 180.0, -90.0])
+    positions = np.array([[0.0, a, 0.0, 0.0, b, c] for a in lift for b in five for c in six])
+    model = pin.buildModelFromUrdf(str(robot.urdf))
+    data, frame = model.createData(), model.getFrameId("wrist_ft")
+    wrench = np.random.default_rng(0).normal(size=(len(positions), 6)) * np.repeat([0.04, 0.001], 3)
+    for row, q in zip(wrench, positions, strict=True):
+        pin.framesForwardKinematics(model, data, q)
+        force = -0.3 * data.oMf[frame].rotation.T @ gravity
+        row += [*force, *np.cross([0.025, 0.0, 0.023], force)]
+    table = Table(np.arange(len(positions), dtype=float), positions, wrench=wrench + [0.4, -3.0, 5.0, -0.07, -0.02, -0.05])
+    return experiment(robot, [Motion("a", "identification", table, kind="poses")], Sensor(joint="wrist_ft"))
+
+
+@pytest.mark.parametrize(("axis", "angle"), [("x", 80.0), ("y", 80.0), ("y", 100.0), ("y", 105.0)])
+def test_a_base_at_any_angle_is_named_once_where_zeros_of_joints_say_as_much(axis: str, angle: float, tmp_path: Path) -> None:
+    """Near a wall, joints that count from another zero explain as much as a wall does: nothing was named then, or gravity upside
+    down; and the same direction could be listed as another that is as likely."""
+    turned = pin.rpy.rpyToMatrix(*np.radians(angle) * np.array([axis == "x", axis == "y", 0.0])) @ [0.0, 0.0, -9.81]
+    (found,) = find_mistakes(weighed(tmp_path, turned))
+    assert (found.name, found.alternatives) == ("base_tilt", ())
+    match = re.search(r"gravity = \[(.*?)\]", found.text)
+    assert match is not None
+    np.testing.assert_allclose([float(part) for part in match[1].split(",")], turned, atol=0.03)
+
+
 def test_what_only_mixes_columns_explains_nothing(tmp_path: Path) -> None:
     """A shear that decorrelates two residuals is no remedy: what is left is counted in the columns as recorded."""
     whole = on_sensor(tmp_path)

@@ -37,6 +37,8 @@ _SIZES = np.array([1.0, *(0.1,) * 3, *(0.01,) * 6])
 _SMALLEST = 1e-7
 #: Share of the largest variance, in standard deviations, below which one is a zero.
 _OPEN = 1e-11
+#: An end of the mass's interval below this share of the other is zero but for rounding.
+_ROUNDED = 1e-9
 #: Chains side by side, steps between two draws of one, and steps left out at the beginning.
 _CHAINS, _THIN, _BURN_IN = 200, 20, 400
 _MOMENTS = ("Ixx", "Iyy", "Izz")
@@ -190,6 +192,8 @@ class BodyKnowledge:
             return Quantity.unknown("m", "kg", 0.0)
         m, std = float(self.mean[0]), float(np.sqrt(self.covariance[0, 0]))
         low, high = max(m - self.half * std, 0.0), max(m + self.half * std, 0.0)
+        if low < _ROUNDED * high:
+            low = 0.0
         return Quantity("m", "kg", max(m, 0.0), std, low, high, low > 0.0)
 
     @cached_property

@@ -267,7 +267,8 @@ class _Finder:
             option = argument("joint_names", f"{joints[0]}={names[0]},...") if joints else argument("joint_names")
             return f"the log's joints are {listed(names, 8)}: say which is which ({option})"
         groups = _groups(self.streams)
-        likely = [name for name, size in groups.items() if size == len(joints) and _is_called(name, "q")]
+        sized = [name for name, size in groups.items() if size == len(joints) > 1]
+        likely = [name for name in sized if _is_called(name, "q")] or sized
         part = f"{columns[0].removesuffix('[0]')}[0:{len(joints)}]"  # of an array whose entries have no names
         example = f"q={likely[0] if likely else part if len(groups) == 1 else '{joint}/position' if len(columns) > 1 else '...'}"
         there = _shown(self.streams, len(joints), "q")

@@ -165,6 +165,7 @@ def tilted(explainer: Explainer, starts: Sequence[Change], worth: float) -> list
     """
     stated, out = explainer.robot.gravity, []
     size = float(np.linalg.norm(stated))
+    known = [stated / (size or 1.0), *np.eye(3), *-np.eye(3)]
     for start in starts if size > 0.0 else ():
         change = start
         for _ in range(_STEPS):
@@ -174,9 +175,9 @@ def tilted(explainer: Explainer, starts: Sequence[Change], worth: float) -> list
                 break
             change = Change(gravity=size * direction / np.linalg.norm(direction))
         gravity = stated if change.gravity is None else change.gravity
-        axes = [stated / size, *np.eye(3), *-np.eye(3)]
-        if max(gravity @ axis for axis in axes) < size * np.cos(np.radians(_LEVEL)):
+        if max(gravity @ direction for direction in known) < size * np.cos(np.radians(_LEVEL)):
             out.append(along(gravity, stated))
+            known.append(gravity / size)  # another start may lead to the same
     return out
 
 

@@ -255,8 +255,9 @@ def searched(experiment: Experiment, explainer: Explainer, channel: str) -> Mist
     if search.worth_going_on and explainer.torque:
         search.try_out(by_joint(explainer, search.worth))
     if search.worth_going_on:
-        mounts = [t.candidate for t in search.tried if t.candidate.name == "gravity_direction" and t is search.best]
-        search.try_out(tilted(explainer, [AS_RECORDED, *(c.change for c in mounts)], search.worth))
+        least = search.best.evidence - ALIKE if search.best else 0.0  # zeros of joints may explain as much as a wall
+        mounts = [t.candidate.change for t in search.tried if t.candidate.name == "gravity_direction" and t.evidence > least]
+        search.try_out(tilted(explainer, [AS_RECORDED, *mounts], search.worth))
     return search
 
 
