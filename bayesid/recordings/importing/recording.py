@@ -79,7 +79,7 @@ def joined_files(sources: Sequence[Source], times: Sequence[str] = ()) -> Source
                 groups.append([(source.name, stream)])
             else:
                 group.append((source.name, stream))
-    topics, tables = [], []
+    topics, tables, notes = [], [], []
     for (file, first), *more in groups:
         parts = [first, *(stream for _, stream in more)]
         columns = {c: np.concatenate([stream.columns[c] for stream in parts]) for c in first.columns}
@@ -89,8 +89,11 @@ def joined_files(sources: Sequence[Source], times: Sequence[str] = ()) -> Source
             topics.append(whole)
         else:
             tables.append((file, whole))
+            if more:
+                following = listed([name for name, _ in more])
+                notes.append(f"{following} after {file}, as one recording: the same columns at later times")
     unread = dict.fromkeys(topic for source in sources for topic in source.unread)
-    return Source(sources[0].name, (*topics, *_beside(tables, times)), tuple(unread))
+    return Source(sources[0].name, (*topics, *_beside(tables, times)), tuple(unread), tuple(notes))
 
 
 def _goes_on(before: tuple[str, Stream], after: tuple[str, Stream], times: Sequence[str]) -> bool:
@@ -103,9 +106,11 @@ def _goes_on(before: tuple[str, Stream], after: tuple[str, Stream], times: Seque
     column = next(iter(times_of(other, times, file)), None)
     if column is None:
         return False
-    earlier, later = one.columns[column], other.columns[column]
-    numbers = earlier.dtype.kind in "fiu" and later.dtype.kind in "fiu"
-    return not numbers or bool(np.nanmin(later) > np.nanmax(earlier))
+    both = [stream.columns[column] for stream in (one, other)]
+    if all(times.dtype.kind in "fiu" for times in both):
+        return bool(np.nanmin(both[1]) > np.nanmax(both[0]))
+    dates = [[str(time) for time in times.tolist() if time and time == time] for times in both]  # ISO 8601 sorts as texts
+    return all(dates) and min(dates[1]) > max(dates[0])
 
 
 def _beside(tables: Sequence[tuple[str, Stream]], times: Sequence[str]) -> list[Stream]:
@@ -314,7 +319,7 @@ def make_recording(
         clocks = [(stream, one.since(first)) for stream, one in clocks]
     signals, notes = make_signals(layout, clocks, stated, source.name, not poses, sliding)
     joined = join(signals, source.name)
-    done = [text for _, one in clocks for text in one.notes] + notes
+    done = [*source.notes, *(text for _, one in clocks for text in one.notes), *notes]
     if len({one.kind for _, one in clocks}) > 1:
         kinds = ", ".join(f"{stream.name} by {one.text}" for stream, one in clocks)
         one_for_all = argument("clock", "log")

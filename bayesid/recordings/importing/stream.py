@@ -58,6 +58,7 @@ class Source:
     name: str  # what it is called in messages and in experiment.toml
     streams: tuple[Stream, ...]  # what was read of it
     unread: tuple[str, ...] = ()  # topics that were not read, with their types, one ``/topic (type)`` each
+    notes: tuple[str, ...] = ()  # how files became one recording, one line each
 
 
 def array_columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:

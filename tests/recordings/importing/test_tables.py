@@ -273,17 +273,29 @@ def test_files_of_a_quantity_each_are_joined(ending, known, tmp_path):
         np.testing.assert_allclose(getattr(table, name), values, rtol=0.0, atol=1e-15)
 
 
-def test_files_of_a_quantity_each_with_the_joints_as_columns_are_joined(known, tmp_path):
+@pytest.mark.parametrize("dates", [False, True])
+def test_files_of_a_quantity_each_with_the_joints_as_columns_are_joined(dates, known, tmp_path):
     """Their columns are the same and their times, too: they are no parts of one after the other."""
+    times = [f"2026-01-01 10:{int(t) // 60:02d}:{t % 60:09.6f}" for t in known.t] if dates else known.t
     for name, values in (("position", known.q), ("effort", known.tau)):
         frame = pd.DataFrame(values, columns=list(JOINTS))
-        frame.insert(0, "t", known.t)
+        frame.insert(0, "t", times)
         frame.to_csv(tmp_path / f"{name}.csv", index=False)
     files = [tmp_path / "position.csv", tmp_path / "effort.csv"]
     columns = {"q": "position/{joint}", "tau": "effort/{joint}"}
     table = bayesid.read_recording(files, known.urdf, joints=JOINTS, columns=columns, join_files=True).experiment.motions[0].table
-    for name, values in (("times", known.t), ("positions", known.q), ("torques", known.tau)):
-        np.testing.assert_array_equal(getattr(table, name), values)
+    for name, values in (("times", known.t - known.t[0]), ("positions", known.q), ("torques", known.tau)):
+        np.testing.assert_allclose(getattr(table, name), values, rtol=0.0, atol=1e-6 if name == "times" else 0.0)
+
+
+def test_a_file_that_goes_on_where_another_ends_is_told(known, tmp_path):
+    frame, half = by_joint(known, time=known.t), len(known.t) // 2
+    files = [tmp_path / "first.csv", tmp_path / "second.csv"]
+    for path, part in zip(files, (frame[:half], frame[half:]), strict=True):
+        part.to_csv(path, index=False)
+    imported = bayesid.read_recording(files, known.urdf, join_files=True)
+    assert len(imported.experiment.motions[0].table) == len(known.t)
+    assert "second after first, as one recording: the same columns at later times" in str(imported)
 
 
 def test_rows_without_times_have_those_of_the_rate_that_is_stated(known, tmp_path):
