@@ -13,7 +13,7 @@ the orthonormal cosine transform of each recording,
 
     S_b = s_b 1/n_b sum_{f in b} (u_f u_f' + X_f V X_f'),
 
-V the covariance of the fit, which gives back what it took from the residuals, s_b that of `_student`, and M is
+V the covariance of the fit, which gives back what it took from the residuals, s_b `student_factor`, and M is
 ``sum_b sum_{f in b} Z_f' S_b Z_f``, Z the rows in units of these innovations: that of [White1980]_, stationary within a band.
 
 **Encoder errors.** Errors u of the positions make rows ``y = X b + e - U b``: they enter through the dynamics, so they come and
@@ -35,12 +35,11 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import dct
-from scipy.stats import norm, t
 
 from bayesid.estimators.dispersion import Dispersion
 from bayesid.estimators.factor import Factor, gram_of, pilot_of, reduce_whitened, regressor_times, whitened
 from bayesid.estimators.sensor_noise import sensor_noise
-from bayesid.estimators.weights import Weights, stated_noise
+from bayesid.estimators.weights import Weights, stated_noise, student_factor
 from bayesid.regression.blocks import Block, RegressorNoise
 from bayesid.regression.linalg import pseudo_inverse, solve
 from bayesid.regression.regression import Regression
@@ -169,15 +168,7 @@ def _estimated(group: str, parts: Sequence[np.ndarray], solution: np.ndarray, co
             power[k] += np.einsum("kcj,kdj->cd", band, band)
             rows[k] += len(band)
     rows = np.maximum(rows, 1.0)
-    return InnovationSpectrum(edges, power * (_student(rows) / rows)[:, None, None])
-
-
-def _student(degrees: np.ndarray | float) -> np.ndarray:
-    """Factor of a variance that so many degrees of freedom tell, for Student's quantile in place of the normal one.
-
-    Intervals of 95 % are 1.96 standard deviations on either side everywhere: a deviation that is not sure is made larger.
-    """
-    return np.asarray((t.ppf(0.975, degrees) / norm.ppf(0.975)) ** 2)
+    return InnovationSpectrum(edges, power * (student_factor(rows) / rows)[:, None, None])
 
 
 def _coefficients(group: str, rows: np.ndarray) -> np.ndarray:
@@ -233,7 +224,7 @@ class _Draws:
 def covariance_of_sums(sums: np.ndarray) -> np.ndarray:
     """Covariance of simulated sums (draws, p), whose mean is known to be zero no better than their own mean says."""
     count, p = sums.shape
-    return (_student(count - 1) if count > 1 else 1.0) * np.cov(sums.T, ddof=min(count - 1, 1)).reshape(p, p)
+    return (student_factor(count - 1) if count > 1 else 1.0) * np.cov(sums.T, ddof=min(count - 1, 1)).reshape(p, p)
 
 
 def may_matter(regression: Regression, weights: Weights) -> bool:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from scipy.stats import norm, t
 
 from bayesid.estimators.dispersion import Dispersion, Rows, dispersions, widening
 from bayesid.estimators.factor import Factor, Pilot, pilot_of, regressor_times, whitened
@@ -56,6 +57,8 @@ class Weights:
     channels: dict[str, Dispersion] = field(default_factory=dict)
     #: Whether rows are weighted by the noise even if the model lacks something, for it is not learned from residuals alone.
     by_noise: bool = False
+    #: Poses that the size of their noise rests on, less what was fitted to them; no end where it is stated, or there are none.
+    poses: float = np.inf
 
     @cached_property
     def factors(self) -> np.ndarray:
@@ -79,8 +82,18 @@ class Weights:
         return dict(zip(self.channels, self.factors.tolist(), strict=True)) if self.widened and self.channels else None
 
     def dispersed(self, noise: dict[str, NoiseModel] | None = None) -> dict[str, NoiseModel]:
-        """Noise (default `noise`) as large as the scatter between parts of the recording says."""
-        return {g: m.scaled(self.factors) for g, m in (self.noise if noise is None else noise).items()}
+        """Noise (default `noise`) as large as the scatter between parts of the recording says, and as few poses leave it open."""
+        noise = self.noise if noise is None else noise
+        sure = {"poses": student_factor(self.poses)}
+        return {g: m.scaled(self.factors * sure.get(g, 1.0)) for g, m in noise.items()}
+
+
+def student_factor(degrees: np.ndarray | float) -> np.ndarray:
+    """Factor of a variance that so many degrees of freedom tell, for Student's quantile in place of the normal one.
+
+    Intervals of 95 % are 1.96 standard deviations on either side everywhere: a deviation that is not sure is made larger.
+    """
+    return np.asarray((t.ppf(0.975, degrees) / norm.ppf(0.975)) ** 2)
 
 
 def learn_weights(regression: Regression) -> Weights:
@@ -139,7 +152,8 @@ def _learned(regression: Regression) -> Weights:
         Rows(pilot.segments([r[:, c : c + 1] for r in rows]), _channel_middle(pilot, noise, scale, c)) for c in range(len(names))
     ]
     scatter, *parts = dispersions(Rows(pilot.segments(rows), middle), plain, channels)
-    return Weights(noise, agreement, complete, plain, scatter, found, dict(zip(names, parts, strict=True)))
+    poses = _left(blocks, len(plain)).get("poses", np.inf)
+    return Weights(noise, agreement, complete, plain, scatter, found, dict(zip(names, parts, strict=True)), poses=poses)
 
 
 def _with_rung_errors(regression: Regression, law: RegressorNoise, pilot: Pilot, plain: np.ndarray) -> Weights:
@@ -178,6 +192,13 @@ def stated_noise(regression: Regression) -> dict[str, NoiseModel] | None:
     return {g: NoiseModel.stated(regression.noise_std, poles if g == "trajectory" else None) for g in groups}
 
 
+def _left(blocks: Sequence[Block], parameters: int) -> dict[str, float]:
+    """Rows of each group less its share of what so many parameters take from them."""
+    rows = {g: sum(len(b.rows) for b in blocks if b.group == g) for g in dict.fromkeys(b.group for b in blocks)}
+    taken = parameters / sum(rows.values()) / blocks[0].rows.shape[1]
+    return {g: max(n * (1.0 - taken), 1.0) for g, n in rows.items()}
+
+
 def noise_of_residuals(
     regression: Regression, blocks: Sequence[Block], values: np.ndarray, efficient: Factor | None = None
 ) -> dict[str, NoiseModel]:
@@ -185,12 +206,11 @@ def noise_of_residuals(
     known = stated_noise(regression)
     if known is not None:
         return known
-    noise = {}
-    total = sum(len(b.rows) for b in blocks)
+    noise, left = {}, _left(blocks, len(values))
     root = None if efficient is None else pseudo_inverse(efficient.matrix)
     for group in dict.fromkeys(b.group for b in blocks):
         own = [b for b in blocks if b.group == group]
-        rows, taken = sum(len(b.rows) for b in own), sum(len(b.rows) for b in own) / total * len(values)
+        taken = (sum(len(b.rows) for b in own) - left[group]) * own[0].rows.shape[1]
         noise[group] = estimate_noise(
             [b.residual(values) for b in own],
             parameters=round(taken),
@@ -198,8 +218,9 @@ def noise_of_residuals(
             highest_order=0 if group == "poses" else 24,
             spread=None if root is None else [regressor_times(b, root) for b in own],
         )
+        noise[group] = noise[group].with_sure_correlations(left[group])
         if group == "poses":  # of which there are few
-            noise[group] = noise[group].with_sure_correlations(rows - taken / len(noise[group].std))
+            noise[group] = noise[group].with_sure_sizes(left[group], regression.channel_units)
     return noise
 
 
