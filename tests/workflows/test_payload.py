@@ -208,6 +208,20 @@ def test_poses_to_record_next_reach_what_is_asked(wrist, tmp_path):
         bayesid.payload(few, target=(0.0, 1.0), diagnosis=False)
 
 
+def test_poses_to_record_next_bring_what_is_expected_on_average(wrist):
+    """However quiet the few first ones happen to be: over many of them, half of the accuracies come out better and half worse."""
+    wanted, logs = (0.0025, 0.0004), []
+    for seed in range(24):
+        few = bayesid.simulate(wrist, poses(wrist.robot, 8, seed=seed), effects=OFFSET, recorder=NOISE, seed=seed)
+        more = bayesid.payload(few, target=wanted, diagnosis=False).more
+        q = np.vstack([few.motions[0].table.positions, more.positions])
+        path = Trajectory("poses", "identification", np.arange(float(len(q))), q, 0.0 * q, 0.0 * q, kind="poses")
+        made = bayesid.simulate(wrist, [path], effects=OFFSET, recorder=NOISE, seed=100 + seed)
+        mass = bayesid.payload(made, diagnosis=False).mass
+        logs.append(np.log(0.5 * (mass.high - mass.low) / more.expected[0]))
+    assert abs(np.mean(logs)) < 4.0 * np.std(logs) / np.sqrt(len(logs))
+
+
 def test_poses_to_record_next_keep_the_robot_off_itself(tmp_path):
     """A ball of 25 cm at the base and one of 10 cm in the hand: their distance by Pinocchio's kinematics."""
     text = wrist_sensor_arm()

@@ -97,7 +97,7 @@ def from_sensor(problem: Problem, estimate: Estimate, body: int) -> BodyKnowledg
     matrix = base.matrix[:, 10 * body : 10 * body + 10][shown]
     known = estimate.stated_covariance()[: base.rank, : base.rank]
     freedom = degrees_of_freedom(problem, estimate)
-    weights = 1.0 + _WEIGHTS / freedom
+    weights = estimated_weights(freedom)
     if has_valley(problem):
         own = base.matrix[:, 10 * body : 10 * body + 10]
         values, covariance = along_mass(problem, estimate, np.linalg.pinv(own)[0], half_interval(freedom), weights)
@@ -209,6 +209,11 @@ def degrees_of_freedom(problem: Problem, estimate: Estimate) -> float:
         return inf
     channels = len(problem.row_model.channels.names)
     return max((estimate.rows - len(estimate.solution)) / channels, 1.0)
+
+
+def estimated_weights(freedom: float) -> float:
+    """Factor on variances where channels are weighted by noise that is known from so many degrees of freedom each."""
+    return 1.0 + _WEIGHTS / freedom
 
 
 #: First step along the mass as a share of it, at least and at most; how each next one grows; most steps each way.
