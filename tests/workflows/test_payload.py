@@ -262,6 +262,21 @@ def test_a_motion_with_the_wrench_reversed_is_told_by_its_sign(wrist):
     assert not result.mass.shown and result.sentences[0].startswith("The mass comes out negative, −1.7")
 
 
+def test_a_mistake_in_the_data_is_named_before_what_it_is_taken_for(wrist):
+    """A base stated upright that hangs on a wall: the advice was to tilt the payload in more ways, or a cable was named."""
+    made = bayesid.simulate(wrist, poses(wrist.robot), effects=OFFSET, recorder=NOISE, seed=3)
+    turned = replace(made, robot=replace(made.robot, gravity=np.array([9.66, 0.0, 1.7])))
+    for result in (bayesid.payload(turned), bayesid.calibrate(turned)):
+        first = result.warnings[0]
+        assert "write [robot] gravity = [0, 0, -9.808]" in first and first.endswith("the values here are of data with a mistake.")
+
+
+def test_an_effect_that_is_named_is_no_mistake_as_well(wrist):
+    tilt = {**OFFSET, "base_tilt@base": {"x": 0.08, "y": -0.06}}
+    result = bayesid.payload(bayesid.simulate(wrist, poses(wrist.robot, 40), effects=tilt, recorder=NOISE, seed=5))
+    assert "base_tilt@base" in [e.spec for e in result.effects] and not any("Undo" in text for text in result.warnings)
+
+
 @pytest.fixture(scope="module")
 def crossed(tmp_path_factory):
     """Two joints whose axes cross where the links' frames are, with a body on the second and without it; and the body."""

@@ -199,7 +199,7 @@ class BodyKnowledge:
     @cached_property
     def first_moment(self) -> tuple[Quantity, ...]:
         """Mass times centre of mass [kg m]: readings may show it where they show neither alone (3,)."""
-        stds = np.sqrt(np.diag(self.covariance))
+        stds = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))  # what is not shown has none but for rounding
         return tuple(
             Quantity.of(inertia.PARAMETERS[k], "kg m", self.mean[k], stds[k] if self.shown[k] else inf, self.half)
             for k in (1, 2, 3)
