@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from bayesid.diagnosis.contacts import contact_terms
-from bayesid.diagnosis.data import DiagnosisData, residual_rows, term_rows
+from bayesid.diagnosis.data import DiagnosisData, OneValue, residual_rows, term_rows
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import NuisanceProjector, Span, orthonormal
 from bayesid.diagnosis.spectra import SpectralSegment
@@ -175,6 +175,28 @@ class Library:
         for found in (t.effect for t in fit.terms[len(self.base.terms) :]):
             taken |= {e.spec for e in self.effects if e.excludes(found)}
         return taken
+
+    def with_one_value(self, fit: Fit, least: float) -> list[OneValue]:
+        """Effects of several values with only one of them, where its column beside a fit explains so much of chi2 at least.
+
+        Of a link that is another than the nominal one no single number changes.
+        """
+        projector, best = self.projector, dict[str, tuple[float, OneValue]]()
+        found, taken = orthonormal(projector.columns(fit.jacobian)), self._taken(fit)
+        left = projector.project_out(np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)]))
+        for block in self.blocks:
+            effect = block.effect
+            if block.rows.shape[1] < 2 or effect.changes_link or effect.may_be_another or effect.spec in taken:
+                continue
+            rows = block.rows - found @ (found.T @ block.rows)
+            square = np.sum(rows**2, axis=0)
+            amplitudes = rows.T @ left / np.where(square > 0.0, square, np.inf)
+            for k, gain in enumerate(amplitudes**2 * square):
+                values = np.atleast_2d(block.about.to_values(np.where(np.arange(len(square)) == k, amplitudes, 0.0)))[0]
+                alone = np.count_nonzero(values) == 1 and values[k] != 0.0
+                if alone and gain >= max(least, best.get(effect.spec, (0.0, None))[0]):
+                    best[effect.spec] = gain, OneValue(effect, _inside(effect, values), k)
+        return [term for _, term in best.values()]
 
     def dispersion(self, fit: Fit) -> float:
         """Mean square of what the fit and all columns together leave, at least 1.

@@ -31,6 +31,18 @@ class Episode(Term):
     motion: str = ""  # in which; nothing is known of others
 
 
+@dataclass(frozen=True)
+class OneValue(Term):
+    """An effect of several values with one of them alone: the others are zero and stay so."""
+
+    only: int = 0  # index of that value
+
+
+def fitted_values(term: Term) -> slice:
+    """Which of a term's values a fit may change."""
+    return slice(term.only, term.only + 1) if isinstance(term, OneValue) else slice(None)
+
+
 def active_terms(segment: SpectralSegment, terms: Sequence[Term]) -> tuple[Term, ...]:
     """The effects that act in a segment."""
     return tuple(
@@ -128,7 +140,7 @@ def term_rows(
     data: DiagnosisData, segments: Sequence[SpectralSegment], links: np.ndarray, terms: Sequence[Term], term: Term,
     again: bool = False,
 ) -> np.ndarray:  # fmt: skip
-    """Whitened derivatives of the readings with respect to a term's parameters beside other terms (rows, k).
+    """Whitened derivatives of the readings with respect to a term's `fitted_values` beside other terms (rows, k).
 
     Say whether those at the same values will be asked for ``again``; where neither links nor the other terms have a part in them
     they are kept then.
@@ -139,7 +151,7 @@ def term_rows(
             parts.append(_white_columns(data, s, links, active_terms(s, terms), term, again))
         else:
             parts.append(np.zeros((s.shape[0] * s.shape[1], len(term.values))))
-    return np.vstack(parts)
+    return np.vstack(parts)[:, fitted_values(term)]
 
 
 def _white_columns(

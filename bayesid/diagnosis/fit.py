@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2, norm
 
-from bayesid.diagnosis.data import DiagnosisData, term_rows
+from bayesid.diagnosis.data import DiagnosisData, fitted_values, term_rows
 from bayesid.diagnosis.grams import schwarz
 from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.settings import Settings
@@ -47,14 +47,14 @@ _HIDDEN = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """Whitened derivatives of the readings with respect to a term's parameters."""
+    """Whitened derivatives of the readings with respect to a term's `fitted_values`."""
 
-    values: np.ndarray  # of the parameters (k,), where they were taken
+    values: np.ndarray  # these (k,), where they were taken
     rows: np.ndarray  # (rows, k)
 
     def changed_by(self, term: Term) -> float:
         """Sum of squares of the change of whitened readings from those values to a term's."""
-        return float(np.sum((self.rows @ (np.array(term.values) - self.values)) ** 2))
+        return float(np.sum((self.rows @ (np.array(term.values)[fitted_values(term)] - self.values)) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def begin(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None
     """A fit before its first step, from the links and the offset of another one."""
     data, terms = projector.data, tuple(terms)
     u = np.zeros(projector.size) if start is None else start.coordinates.copy()
-    free = tuple((i, k) for i, t in enumerate(terms) if not data.fixed(t) for k in range(len(t.values)))
+    free = tuple((i, k) for i, t in enumerate(terms) if not data.fixed(t) for k in range(len(t.values))[fitted_values(t)])
     rows, prior = projector.residual(u, terms), projector.prior_residual(u)
     known = start.derivatives if start is not None and start.projector is projector else {}
     return Iterate(projector, terms, free, u, rows, prior, float(rows @ rows + prior @ prior), derivatives=known)
@@ -198,7 +198,7 @@ def _derivatives(
         else:
             beside = tuple(x for x in terms if x is not t)
             rows = term_rows(data, data.segments, links, beside, t)
-            out[t.effect] = anew[t.effect] = Derivatives(np.array(t.values), rows)
+            out[t.effect] = anew[t.effect] = Derivatives(np.array(t.values)[fitted_values(t)], rows)
     return out, anew
 
 

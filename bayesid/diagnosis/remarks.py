@@ -253,6 +253,9 @@ def next_experiment(verdict: Verdict, found: Sequence[Found], *, poses: bool = F
     """What to record next, in a sentence; of ``poses`` at rest where these were fitted."""
     if poses:
         return _next_poses(verdict, found)
+    if verdict == "ambiguous" and all(len(f.rivals) == len(f.together) for f in found):
+        pairs = "; ".join(f"{f.term.effect.spec} from {' and '.join(f.together)}" for f in found if f.together)
+        return f"No motion tells {pairs}: another sensor or channel may, such as joint torques beside a wrench."
     if verdict == "ambiguous":
         return (
             f"To tell {_open_names(found)}: move other joints and repeat the motion at half and at full speed; effects that "

@@ -37,6 +37,13 @@ class Found:
     gain: float  # log evidence lost without it, divided by the dispersion factor
     std: np.ndarray  # standard deviations of its values, the links' uncertainty included
     rivals: tuple[tuple[Term, float], ...] = ()  # other effects that explain it nearly as well, with the log evidence they lack
+    together: tuple[str, ...] = ()  # those of them, ``name@where``, that only together do the same, and then whatever the motion
+
+    @property
+    def alternatives(self) -> list[tuple[Term, ...]]:
+        """What explains it nearly as well: each rival alone, those that only together do as one."""
+        same = tuple(t for t, _ in self.rivals if t.effect.spec in self.together)
+        return [*((t,) for t, _ in self.rivals if t not in same), *([same] if same else [])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,9 +144,20 @@ def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...],
         for f in reversed(fits):
             rival, own = as_payload(f, len(f.terms) - 1, dispersion)
             lacks[f.terms[-1].effect.spec] = (rival, (best.score - f.score) / dispersion + bonus - own)
-        near = [(t, lack) for t, lack in lacks.values() if lack < settings.rival and not _contains(without, t, term)]
+        # No longer name is one that costs no more: of the first link joint torques show one moment of inertia, as of a rotor.
+        close = [(t, lack) for t, lack in lacks.values() if lack < settings.rival]
+        near = [(t, lack) for t, lack in close if lack <= 0.0 or not _contains(without, t, term)]
+        # A wider effect of which all but one value is zero is no longer name: a sensor that is turned about one axis.
+        specs = [term.effect.spec, *(t.effect.spec for t, _ in near)]
+        for one in library.with_one_value(without, 2.0 * settings.nearly_all * (best.score - without.score)):
+            models, f = models.own(fit(without.projector, (*held, one), without))
+            lack = (best.score - f.score) / dispersion + bonus
+            near += [(f.terms[-1], lack)] if lack < settings.rival and one.effect.spec not in specs else []
+        same = term.effect.same_as(term.values, library.around)
+        together = tuple(t.effect.spec for t in same)
+        near = [(t, lack) for t, lack in near if t.effect.spec not in together] + [(t, float(np.log(len(same)))) for t in same]
         gain = (best.score - without.score) / dispersion
-        out.append(Found(canonical(named), gain, best.std(i, dispersion), tuple(near)))
+        out.append(Found(canonical(named), gain, best.std(i, dispersion), tuple(near), together))
     return replace(state, models=models), tuple(out), None
 
 

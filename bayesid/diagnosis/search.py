@@ -13,6 +13,7 @@ from math import inf
 import numpy as np
 
 from bayesid.diagnosis.candidates import Library, Proposal, surroundings
+from bayesid.diagnosis.data import OneValue
 from bayesid.diagnosis.fit import Fit, differs_from_zero, distance, fit
 from bayesid.diagnosis.forward import State, forward_selection, measured_dispersion, too_many_to_name
 from bayesid.diagnosis.noise import with_noise_of
@@ -120,6 +121,8 @@ def certain(s: Search) -> Search:
     least = min(vague, key=lambda k: distance(s.best, k)[0])
     own = s.found[least - known]
     for rival, lack in sorted(own.rivals, key=lambda r: r[1]):
+        if isinstance(rival, OneValue) or rival.effect.spec in own.together:
+            continue  # what it does is known no better
         best = fit(s.best.projector, (*s.best.terms[:least], rival, *s.best.terms[least + 1 :]), s.best)
         if np.isfinite(best.score) and differs_from_zero(best, least, s.dispersion):
             others = tuple(r for r in own.rivals if r[0] is not rival)

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesid.dynamics.kinematics import DW, R, W, transform_matrix
 from bayesid.effects import sizes
-from bayesid.effects.effect import Parameter
+from bayesid.effects.effect import Parameter, Term
 from bayesid.effects.families import BodyEffect, RotorEffect
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
@@ -89,6 +89,20 @@ class RotorMomentum(RotorEffect):
     def sought(self, around):
         # In a wrench or in torques alone it is a change of two links.
         return around.both_channels or around.links_known
+
+    def same_as(self, values, around):
+        # A turning joint's axis z is fixed in both of its links, which turn against each other at qd: the momentum J qd z is that
+        # of an inertia J about z, more in the joint's link and less in its parent. Torques show that the joint does not turn it.
+        if around.torques or self.slides:
+            return ()
+        robot, joint = around.robot, self.joint or 0
+        parent, axis = int(robot.parent[joint]), robot.axis[joint]
+        changes = [(joint, values[0], axis), (parent, -values[0], robot.rotation[joint] @ axis)]
+        return tuple(
+            Term(InertiaError(f"joint{k + 1}", k), (0.0,) * 4 + tuple(size * np.outer(z, z)[np.tril_indices(3)]))
+            for k, size, z in changes
+            if k >= 0
+        )
 
 
 def rotor_couple(robot: Robot, states: np.ndarray, joint: int, velocity: np.ndarray, acceleration: np.ndarray):

@@ -32,6 +32,7 @@ class Surroundings:
     moving: np.ndarray  # whether each joint moves in the fitted motions (n,)
     links_known: bool  # whether a prior standard deviation of the nominal links is stated
     both_channels: bool  # whether wrench and torques are compared together
+    torques: bool  # whether joint torques are compared, with a wrench or alone
     static_run: bool  # whether static readings are among those compared, which remove a constant offset
     base_sensor: bool  # whether the readings of a sensor under the base are compared
 
@@ -266,6 +267,10 @@ class Effect(ABC):
     def holds_below(self, values: Sequence[float], around: Surroundings) -> float:
         """Frequency [Hz] up to which encoders show enough of what it does for its equation to hold; most hold anywhere."""
         return inf
+
+    def same_as(self, values: Sequence[float], around: Surroundings) -> tuple[Term, ...]:
+        """Other effects that together do the same, whatever the motion: nothing in what is compared tells it from them."""
+        return ()
 
     def comes_after(self, other: Effect) -> bool:
         """Whether a search counts for it only what another effect leaves unexplained."""

@@ -26,7 +26,7 @@ def surroundings_of(
     return Surroundings(
         robot=robot, mean_places=np.mean([x[:, :, P : P + 3].mean(axis=0) for x in states], axis=0),
         joint_inertia=joint_inertia(robot, trajectories[0], links), moving=moving(robot, trajectories), links_known=links_known,
-        both_channels=channel == "both", static_run=static_run,
+        both_channels=channel == "both", torques=channel != "wrench", static_run=static_run,
         base_sensor=channel != "torque" and sensor_under_base,
     )  # fmt: skip
 

@@ -183,7 +183,7 @@ def _found(d: Diagnosis) -> ShownSection:
     for k, f in enumerate(d.found):
         term, summary = f.term, f.term.effect.summary
         once = f"; it happened once, in {term.motion}" if isinstance(term, Episode) else ""
-        rivals = ", ".join(f"**{t.effect.spec}** ({t.effect.summary})" for t, _ in f.rivals)
+        rivals = ", ".join(" with ".join(f"**{t.effect.spec}** ({t.effect.summary})" for t in terms) for terms in f.alternatives)
         share = "" if d.part is None or d.shares(k) is None else results.share_range(d, k)
         course = svg(figures.push_course(term), "course") if isinstance(term, Push) else ""
         parts.append(below(
@@ -424,9 +424,13 @@ def _columns_of(effect: Effect) -> str:
 def _rivals(f: Found, d: Diagnosis, proposals: list[dict[str, Any]]) -> str:
     """What speaks for a named effect, and against others in its place."""
     text = f"**{f.term.effect.spec}**: without it the best model loses {_large(f.gain)} of log evidence."
-    if f.rivals:
+    if f.together:
+        text += f" {' and '.join(f.together)} {'do' if len(f.together) > 1 else 'does'} the same, whatever the motion."
+    if len(f.rivals) > len(f.together):
         lacks = ", ".join(
-            f"{t.effect.spec} {'loses only' if lack > 0.0 else 'gains'} {number(abs(lack), 2)}" for t, lack in f.rivals
+            f"{t.effect.spec} {'loses only' if lack > 0.0 else 'gains'} {number(abs(lack), 2)}"
+            for t, lack in f.rivals
+            if t.effect.spec not in f.together
         )
         return f"{text} In its place {lacks}: too little to decide."
     # The best effect on its own that is neither named nor a rival.

@@ -310,7 +310,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 
 def _with_rivals(name: str, found: Found, diagnosis: Diagnosis) -> str:
     """An effect with those that explain as much."""
-    others = [placed(t.effect, diagnosis.data.robot) for t, _ in found.rivals]
+    others = [" with ".join(placed(t.effect, diagnosis.data.robot) for t in terms) for terms in found.alternatives]
     return f"either {name} or {' or '.join(others)}" if others else name
 
 
@@ -500,7 +500,10 @@ def event_sentences(diagnosis: Diagnosis) -> list[str]:
 def effect_rows(diagnosis: Diagnosis, index: int) -> list[tuple[str, str, str, str, str, str]]:
     """The effect before each of its `parameter_rows`, in the first with those that explain as much."""
     found = diagnosis.found[index]
-    spec, rivals = found.term.effect.spec, "".join(f" or {t.effect.spec}" for t, _ in found.rivals)
+    spec, rivals = (
+        found.term.effect.spec,
+        "".join(f" or {' with '.join(t.effect.spec for t in terms)}" for terms in found.alternatives),
+    )
     return [(spec if k else f"{spec}{rivals}", *row) for k, row in enumerate(parameter_rows(diagnosis, index))]
 
 

@@ -38,7 +38,7 @@ from bayesid.design.tell.rivals import (
     unknown,
 )
 from bayesid.diagnosis.candidates import make_library
-from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.data import DiagnosisData, OneValue
 from bayesid.diagnosis.encoders import pooled, with_noise
 from bayesid.diagnosis.fit import Fit, advance, begin, fit
 from bayesid.diagnosis.prepare import even_grid
@@ -294,7 +294,7 @@ def _imitated(projector: NuisanceProjector, true: Rival, other: Rival) -> float:
     effects = {t.effect for t in true.fit.terms}
     apart = [t for t in other.fit.terms if t.effect not in effects]
     races = [advance(begin(projector, other.fit.terms, other.fit), _RACE)]
-    if len(apart) == 1 and apart[0].effect.shape:
+    if len(apart) == 1 and apart[0].effect.shape and not isinstance(apart[0], OneValue):
         held = tuple(t for t in other.fit.terms if t.effect in effects)
         without = fit(projector, held, other.fit, _RACE)
         library = make_library(projector, without, effects=[apart[0].effect])

@@ -287,6 +287,8 @@ def from_search(search: Search) -> Case | None:
     rivals = [known(best, ", ".join(f.term.effect.spec for f in search.found), 0.0, search.dispersion)]
     for k, found in enumerate(search.found):
         for term, lack in found.rivals:
+            if term.effect.spec in found.together:  # no motion tells them
+                continue
             terms = (*best.terms[: first + k], term, *best.terms[first + k + 1 :])
             fitted = fit(best.projector, terms, best)
             if np.isfinite(fitted.score):
