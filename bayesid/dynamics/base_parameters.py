@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesid.dynamics.channels import Channels
+from bayesid.dynamics.channels import WRENCH_NAMES, Channels
 from bayesid.dynamics.regressors import Kernel
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
@@ -69,6 +69,12 @@ class BaseParameters:
     def weight_in_offset(self) -> bool:
         """Whether an estimated offset holds weight that looks like one; not that of a sensor which turns enough."""
         return self.absorbed is not None and bool(self.absorbed.any())
+
+    def effect_labels(self, names: Sequence[str]) -> list[str]:
+        """Labels of effects' parameters by their names: of an estimated offset that holds weight, it and the weight."""
+        rows = () if self.absorbed is None else self.absorbed
+        holding = {f"sensor_offset@sensor.{axis}" for axis, row in zip(WRENCH_NAMES, rows, strict=False) if np.any(row)}
+        return [f"{name} + weight" if name in holding else name for name in names]
 
     @property
     def invisible(self) -> tuple[str, ...]:

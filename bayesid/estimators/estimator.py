@@ -210,7 +210,7 @@ class Estimate(HasParameters):
         """Base parameters, then effect parameters, with central intervals of a probability, cut off where nothing is possible."""
         names = list(self.effect_names)
         return Parameters(
-            [*self.names, *names], [*self.base.labels, *names], self.solution, self.full_std,
+            [*self.names, *names], [*self.base.labels, *self.base.effect_labels(names)], self.solution, self.full_std,
             *central_interval(self.solution, self.full_std, level, self.possible),
             [*self.base.units, *self.effect_units], [*self.classes, *["effect"] * len(names)],
         )  # fmt: skip
@@ -248,6 +248,7 @@ class Estimate(HasParameters):
             "full_covariance": None if self.full_covariance is None else self.full_covariance.tolist(),
             "full_covariance_names": [*self.names, *self.effect_names],
             "base_map": self.base.matrix.tolist(),
+            "weight_in_offset": self.base.absorbed.tolist() if self.base.absorbed is not None else None,
             "link_parameter_names": list(self.base.parameter_names),
             "rank": self.base.rank,
             "condition_number": _number(self.condition_number),

@@ -50,6 +50,7 @@ def comparison_report(result: Comparison) -> str:
     problem, reference = result.problem, result.reference
     done = [e for e in result.entries if e.estimate is not None]
     predicted, validated = bool(done[0].predictions), bool(done[0].validation)
+    told = any(p.noise_known for p in done[0].predictions)
     sections = [_side_by_side(result)]
     if predicted:
         sections.append(ShownSection("How well each one predicts", [
@@ -59,10 +60,10 @@ def comparison_report(result: Comparison) -> str:
             "**There is no validation motion**: these are the fitted motions, on which the estimator that fits most closely "
             "looks best, right or wrong.",
             figure(svg(errors_figure(result), "predictions"),
-                   f"Dot: all channels together; strokes: the channels. Left: error below {number(BAND, 2)} Hz in per cent of "
-                   "the reading, right: what is left in units of the noise, where the green line is perfect (empty where "
-                   "nothing tells the noise). On grey: the "
-                   "nominal model, which the estimates should beat."),
+                   f"Dot: all channels together; strokes: the channels. {'Left: error' if told else 'Error'} below "
+                   f"{number(BAND, 2)} Hz in per cent of the reading"
+                   f"{', right: what is left in units of the noise, where the green line is perfect' if told else ''}. On grey: "
+                   "the nominal model, which the estimates should beat."),
         ], "Prediction"))  # fmt: skip
     below_line = " Below the line: effects beyond rigid bodies, estimated along." if result.regression.effect_names else ""
     sections += [
@@ -222,13 +223,15 @@ def _baseline(name: str) -> str:
 def errors_figure(result: Comparison | LoadedComparison, ax: Any = None) -> Figure:
     """What each estimator's prediction misses, motion by motion: in per cent of the signal and in units of the noise.
 
-    Into one axis a motion of the user's own, in per cent alone. Estimators are from top to bottom, those not fitted on grey.
+    In per cent alone into one axis a motion of the user's own, and where nothing tells the noise. Estimators are from top to
+    bottom, those not fitted on grey.
     """
     entries = [e for e in (*result.baselines, *result.entries) if not e.refusal]
     names, baselines = [e.name for e in entries], len(result.baselines)
     motions = [[e.predictions[k] for e in entries] for k in range(min(len(entries[0].predictions), _SHOWN_MOTIONS))]
     lines = 1 if len(motions[0][0].channel_names) <= _ONE_LINE else 2
-    columns = 1 if ax is not None and len(given_axes(ax)) == len(motions) else 2
+    told = any(p.noise_known for ps in motions for p in ps)
+    columns = 1 if (len(given_axes(ax)) == len(motions) if ax is not None else not told) else 2
     figure, axes = make_grid(len(motions), columns, 0.24 * len(names) + 0.1, left=0.35 + 0.066 * max(map(len, names)),
                              top=0.5 * lines, gap=0.35, sharey=True, sharex="col", ax=ax)  # fmt: skip
     y = np.arange(len(names))
@@ -249,6 +252,8 @@ def errors_figure(result: Comparison | LoadedComparison, ax: Any = None) -> Figu
             ax.set_title(title)
         for ax in row[1:]:
             ax.axvline(1.0, color=NOISE, lw=1.4, zorder=0)
+            if not np.isfinite(known).any():
+                ax.text(0.5, 0.5, "the noise is not known", ha="center", va="center", transform=ax.transAxes)
     for column, floor in zip(axes.T, (None, 0.8), strict=False):
         values = np.concatenate([line.get_xdata() for ax in column for line in ax.lines if line.get_marker() in ("|", "o")])
         values = np.asarray(values, float)[np.asarray(values, float) > 0]

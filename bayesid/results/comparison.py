@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
+#: Keys of an estimate's document that are the same of all estimators.
+_OF_ALL = ("base_map", "weight_in_offset", "link_parameter_names", "rank")
+
+
 @dataclass(frozen=True, eq=False)
 class Entry:
     """What one estimator made of the data."""
@@ -68,7 +72,7 @@ class Entry:
         if self.estimate is None:
             return {"name": self.name, "status": "refused", "reason": self.refusal}
         estimate = self.estimate
-        document = {k: v for k, v in estimate.to_dict().items() if k not in ("base_map", "link_parameter_names", "rank")}
+        document = {k: v for k, v in estimate.to_dict().items() if k not in _OF_ALL}
         effects = document.pop("effect_parameters")
         predictions = {
             "link_parameters": None if self.links is None else self.links.tolist(),
@@ -312,7 +316,9 @@ class Comparison(HasEntries, ShownResult):
             "motions": list(self.regression.motion_names if problem is None else problem.fitted),
             "static": "none" if problem is None else problem.static,
             "filter": {"l": None, "d": None} if problem is None else filter_section(problem.row_model),
-            "rank": base.rank, "base_map": base.matrix.tolist(), "link_parameter_names": list(base.parameter_names),
+            "rank": base.rank, "base_map": base.matrix.tolist(),
+            "weight_in_offset": base.absorbed.tolist() if base.absorbed is not None else None,
+            "link_parameter_names": list(base.parameter_names),
             "methods": [
                 {**e.to_dict(), **({"same_as": list(same)} if (same := self.same_as(e.name)) else {})} for e in self.entries
             ],
@@ -399,7 +405,7 @@ def in_sigmas(value: float | None) -> str:
 def values_table(result: Comparison, *, whole: bool = False) -> ShownTable:
     """Base and effect parameters by each estimator; ``whole``: numbered, and with those of the nominal model."""
     base, regression = result.regression.base, result.regression
-    labels, units = [*base.labels, *regression.effect_names], [*base.units, *regression.effect_units]
+    labels, units = [*base.labels, *base.effect_labels(regression.effect_names)], [*base.units, *regression.effect_units]
     shown = whole and regression.nominal is not None
     rows = []
     for k, (label, unit) in enumerate(zip(labels, units, strict=True)):

@@ -485,7 +485,9 @@ def _base(document: Mapping[str, Any]) -> BaseParameters:
     for row, name in zip(np.eye(len(listed)), names, strict=True):
         alike = np.flatnonzero((matrix == row[:, None]).all(axis=0)).tolist()
         independent.append(next((j for j in alike if name.startswith(behind[j])), alike[0]))
-    return BaseParameters(matrix, np.array(independent, int), behind, names, labels, units)
+    absorbed = document.get("weight_in_offset")
+    absorbed = None if absorbed is None else np.array(absorbed, float)
+    return BaseParameters(matrix, np.array(independent, int), behind, names, labels, units, absorbed)
 
 
 def _estimate(d: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> Estimate:

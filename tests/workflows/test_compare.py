@@ -10,7 +10,7 @@ import bayesid
 from bayesid.cli import main
 from bayesid.estimators import weights
 from bayesid.regression.problem import prepare
-from bayesid.report.comparison import comparison_report
+from bayesid.report.comparison import comparison_report, errors_figure
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import load_robot
 from bayesid.validation.agreement import gaps, hausman, nominal_estimates
@@ -162,7 +162,21 @@ def test_where_the_noise_is_not_known_the_error_alone_judges(compared):
     assert len(known) == 1 and "wls in units of the noise" in known[0] and unknown == []
     silent = replace(compared, entries=(with_noise(best, "residuals", 2.0),), baselines=(with_noise(nominal, "residuals", 1.0),))
     text = read(comparison_report(silent)).text
-    assert "wls leaves least" in text and "times the noise" not in text
+    assert "wls leaves least" in text and "times the noise" not in text and "in units of the noise, where" not in text
+    assert len(errors_figure(silent).axes) == len(best.validation) and len(errors_figure(compared).axes) == 2 * len(
+        best.validation
+    )
+
+
+def test_weight_that_looks_like_an_offset_is_told_from_it(compared, heavier, tmp_path):
+    """An upright sensor's fz is fitted with the links' weight in it, and was called its offset."""
+    compared.write(tmp_path / "out")
+    back = bayesid.load(tmp_path / "out")
+    for found in (compared, back):
+        labels = found["wls"].parameters().labels[-6:]
+        assert labels == [f"sensor_offset@sensor.{a}{' + weight' * (a == 'fz')}" for a in ("fx", "fy", "fz", "mx", "my", "mz")]
+        links = 1.2 * heavier.robot.nominal.ravel()
+        np.testing.assert_allclose(found["wls"].solution[-6:], 3.0 + found["wls"].base.absorbed @ links, atol=0.1)
 
 
 def test_nothing_is_said_of_a_nominal_model_that_there_is_not(compared):
