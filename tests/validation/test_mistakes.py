@@ -155,6 +155,13 @@ def test_the_line_says_what_by_how_much_and_what_to_do(tmp_path: Path) -> None:
     assert found.text in str(inspected)
 
 
+def test_a_thousandth_may_be_what_large_gears_leave_of_a_torque(tmp_path: Path) -> None:
+    """Torques of the motors of an industrial robot, with gears of 400 and more, were said to be in kN m."""
+    whole = arm(tmp_path)
+    (found,) = find_mistakes(changed(whole, times(np.full(whole.robot.n, 1.0 / 450.0), "torques")))
+    assert "in kN m instead of N m; or those of the motors" in found.text and "or multiply each by its gear ratio" in found.text
+
+
 def test_torques_without_signs_are_refused_and_others_are_not(tmp_path: Path) -> None:
     table = arm(tmp_path).motions[0].table
     assert check_channels(table) == []

@@ -275,8 +275,8 @@ def implausible_size(explainer: Explainer, change: Change = AS_RECORDED) -> list
     unit_of_all = (f"in {unit}" if unit else "in another unit", "write N and N m")
     constant = "multiply each by its gear ratio, or its motor's constant and gear ratio"
     of_motors = ("those of the motors, or their currents [A]", constant)
-    # A factor of a thousand is a unit; a tenth may be a current as well, and rather is one where joints differ.
-    if factor > 1.0 or (unit is not None and factor < _NEAR * 1e-3):
+    # Less may be what large gears leave of a torque as well, or a current, and rather is that where joints differ.
+    if factor > 1.0:
         either = [unit_of_all]
     else:
         either = [of_motors] if unit is None else [of_motors, unit_of_all] if apart else [unit_of_all, of_motors]
