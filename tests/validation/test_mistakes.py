@@ -158,7 +158,7 @@ def test_the_line_says_what_by_how_much_and_what_to_do(tmp_path: Path) -> None:
 def test_a_thousandth_may_be_what_large_gears_leave_of_a_torque(tmp_path: Path) -> None:
     """Torques of the motors of an industrial robot, with gears of 400 and more, were said to be in kN m."""
     whole = arm(tmp_path)
-    (found,) = find_mistakes(changed(whole, times(np.full(whole.robot.n, 1.0 / 450.0), "torques")))
+    (found,) = find_mistakes(changed(whole, times(np.eye(whole.robot.n) / 450.0, "torques")))
     assert "in kN m instead of N m; or those of the motors" in found.text and "or multiply each by its gear ratio" in found.text
 
 
