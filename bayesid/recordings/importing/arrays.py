@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,14 @@ import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, listed, one_line
-from bayesid.recordings.importing.stream import Stream, array_columns
+from bayesid.recordings.importing.stream import Source, Stream, array_columns
 
 _DEEPEST = 8  # structures within structures
 _LARGEST = 1 << 32  # of what a file says it holds [bytes]
 _KINDS = "fiubUSMm"
 
 
-def read_npz(path: Path) -> tuple[Stream, ...]:
+def read_npz(path: Path) -> Source:
     """Read a NumPy archive; pickled objects are never loaded. An `InputError` where it is no archive of arrays."""
     try:
         with path.open("rb") as handle:  # numpy leaves a file that it cannot read open
@@ -28,7 +28,7 @@ def read_npz(path: Path) -> tuple[Stream, ...]:
         raise _unreadable(path, "a NumPy archive", error) from None
     if "signal_mapping" in found:
         found = _time_series(path, found)
-    return _streams(path, _named_fields(found))
+    return _source(path, _named_fields(found))
 
 
 def _of_archive(archive: Any) -> dict[str, np.ndarray]:
@@ -56,10 +56,11 @@ def _time_series(path: Path, found: dict[str, np.ndarray]) -> dict[str, np.ndarr
         raise _unreadable(path, "a TimeSeries of MuJoCo", error) from None
 
 
-def read_mat(path: Path) -> tuple[Stream, ...]:
+def read_mat(path: Path) -> Source:
     """Read a MAT file; fields of structures are named ``structure/field``. An `InputError` where it is no MAT file."""
     import h5py
     import scipy.io
+    from scipy.io.matlab import MatlabOpaque
 
     if h5py.is_hdf5(path):
         return read_hdf5(path)
@@ -67,19 +68,25 @@ def read_mat(path: Path) -> tuple[Stream, ...]:
         content = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
     except Exception as error:  # scipy raises whatever a damaged file leads to
         raise _unreadable(path, "a MAT file", error) from None
-    return _streams(path, dict(_of_structures({k: v for k, v in content.items() if not k.startswith("__")}, 0)))
+    known = {k: v for k, v in content.items() if not k.startswith("__") and not isinstance(v, MatlabOpaque)}
+    opaque = [v.ravel()[0] for v in content.values() if isinstance(v, MatlabOpaque)]
+    objects = [f"{_text(v['s0'])} ({_text(v['s2'])})" for v in opaque]
+    return _source(path, dict(_of_structures(known, 0)), objects)
 
 
-def read_hdf5(path: Path) -> tuple[Stream, ...]:
+def read_hdf5(path: Path) -> Source:
     """Read the arrays of an HDF5 file, or of a MAT file of version 7.3, named by the groups that they are in."""
     import h5py
 
     found: dict[str, np.ndarray] = {}
+    objects: list[str] = []
     size = 0
 
     def visit(name: str, item: Any) -> None:
         nonlocal size
-        if isinstance(item, h5py.Dataset) and (item.dtype.kind in _KINDS or item.dtype.names) and not name.startswith("#"):
+        if "MATLAB_object_decode" in item.attrs and not name.startswith("#"):  # what it holds stands elsewhere, in no known form
+            objects.append(f"{name} ({_text(item.attrs.get('MATLAB_class', 'object'))})")
+        elif isinstance(item, h5py.Dataset) and (item.dtype.kind in _KINDS or item.dtype.names) and not name.startswith("#"):
             size += item.nbytes
             if size > _LARGEST:
                 raise ValueError(f"it would take more than {size / 1e9:.0f} GB")
@@ -93,7 +100,11 @@ def read_hdf5(path: Path) -> tuple[Stream, ...]:
             file.visititems(visit)
     except Exception as error:  # h5py raises whatever a damaged file leads to
         raise _unreadable(path, "an HDF5 file", error) from None
-    return _streams(path, _named_fields(found))
+    return _source(path, _named_fields(found), objects)
+
+
+def _text(value: Any) -> str:
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
 def _unreadable(path: Path, what: str, error: BaseException) -> InputError:
@@ -124,8 +135,11 @@ def _named_fields(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return out
 
 
-def _streams(path: Path, found: Mapping[str, np.ndarray]) -> tuple[Stream, ...]:
-    """Arrays of one length as one stream, the longest first; arrays (n, N) are turned, for samples outnumber columns."""
+def _source(path: Path, found: Mapping[str, np.ndarray], objects: Sequence[str] = ()) -> Source:
+    """Arrays of one length as one stream, the longest first; arrays (n, N) are turned, for samples outnumber columns.
+
+    ``objects`` are those of MATLAB's classes, such as timeseries and tables, which cannot be read.
+    """
     by_length: dict[int, dict[str, np.ndarray]] = {}
     for name, values in found.items():
         values = np.squeeze(values) if values.ndim > 1 else values
@@ -135,9 +149,10 @@ def _streams(path: Path, found: Mapping[str, np.ndarray]) -> tuple[Stream, ...]:
             values = values.T
         by_length.setdefault(len(values), {}).update(array_columns(name, values))
     if not by_length:
-        what = f"; it holds {listed(list(found), 6)}" if found else ""
-        raise InputError(
-            f"holds no arrays of samples{what}", file=path.name, remedy="give times and positions as arrays of numbers"
-        )
+        what = f"; it holds {listed([*found, *objects], 6)}" if found or objects else ""
+        remedy = "give times and positions as arrays of numbers"
+        if objects:
+            remedy += ", which objects of MATLAB's classes are not: save x.Time and x.Data of a timeseries, x{:,:} of a table"
+        raise InputError(f"holds no arrays of samples{what}", file=path.name, remedy=remedy)
     order = sorted(by_length, key=lambda rows: -len(by_length[rows]) * (rows > 1))
-    return tuple(Stream("", by_length[rows]) for rows in order)
+    return Source(path.stem, tuple(Stream("", by_length[rows]) for rows in order), tuple(objects))

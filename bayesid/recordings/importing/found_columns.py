@@ -270,7 +270,8 @@ class _Finder:
         sized = [name for name, size in groups.items() if size == len(joints) > 1]
         likely = [name for name in sized if _is_called(name, "q")] or sized
         part = f"{columns[0].removesuffix('[0]')}[0:{len(joints)}]"  # of an array whose entries have no names
-        example = f"q={likely[0] if likely else part if len(groups) == 1 else '{joint}/position' if len(columns) > 1 else '...'}"
+        alone = len(groups) == 1 and len(columns) >= len(joints) and columns[0].endswith("[0]")
+        example = f"q={likely[0] if likely else part if alone else '{joint}/position' if len(columns) > 1 else '...'}"
         there = _shown(self.streams, len(joints), "q")
         return f"name their columns ({argument('columns')}, such as {example}); {there}"
 

@@ -48,7 +48,7 @@ def read_source(
         if kind == "bag":
             return (read_bag(path, topics, mapped),)
         if kind in _ARRAYS:
-            return (Source(path.stem, _ARRAYS[kind](path)),)
+            return (_ARRAYS[kind](path),)
         if kind in ("parquet", "text"):
             return (Source(path.stem, (read_parquet(path) if kind == "parquet" else read_csv(path),)),)
     except OSError as error:

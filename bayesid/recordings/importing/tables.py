@@ -41,6 +41,11 @@ def read_csv(path: Path) -> Stream:
         if header.count(name) > 1 and name:
             raise wrong(f"there are {header.count(name)} of it", key=f"column {cut(name)}", remedy="keep one")
     skipped = first + named + _is_numbering(lines, first, separator)
+    widths = {len(_cells(line, separator)) for line in lines[skipped:] if line.strip()}
+    if named and len(widths) == 1 and widths != {len(header)} and len(lines) > skipped + 1:
+        problem = f"line {first + 1} names {len(header)} columns, but every row has {max(widths)} cells"
+        remedy = f"name each of them, or none: without that line they are {path.stem}[0], {path.stem}[1] and so on"
+        raise wrong(problem, remedy=remedy)
     decimal = _decimal(lines[skipped:], separator)
     count_lines(path, path.name, len(header), separator, first, "the header" if named else "the first row")
     between = r"\s+" if separator == " " else separator
@@ -120,10 +125,7 @@ def _first_line(lines: list[str], source: str) -> tuple[int, str, bool]:
     first = next((k for k in filled if not is_number(re.split(r"[,;|\s]", lines[k].strip())[0])), None)
     if first is None:
         first = filled[0]
-        marks = [mark for mark in (";", "\t", "|", ",") if mark in lines[first].strip()]
-        if marks == [","] and re.search(r"\d\s+[-+\d]", lines[first]):  # between blanks commas are those of decimals
-            marks = []
-        return first, (marks or [" "])[0], False
+        return first, next((mark for mark in _SEPARATORS if _separates(mark, lines[first])), " "), False
     for after in [k for k in filled if k > first]:  # remarks before a header, which may begin as they do
         if not lines[after].lstrip().startswith(("#", "%")) and not _is_remark(lines[first], lines[after]):
             break
@@ -139,6 +141,12 @@ def _first_line(lines: list[str], source: str) -> tuple[int, str, bool]:
     return first, separator, True
 
 
+def _separates(mark: str, line: str) -> bool:
+    """Whether what stands between these marks are numbers alone, which may have decimal commas where the mark is none."""
+    cells = [cell.strip() for cell in _cells(line, mark)]
+    return len(cells) > 1 and all(is_number(cell if mark == "," else cell.replace(",", ".")) for cell in cells if cell)
+
+
 def _is_numbering(lines: list[str], first: int, separator: str) -> bool:
     """Whether a line numbers the columns from zero, as pandas does where they have no names."""
     cells = [cell.strip() for cell in _cells(lines[first], separator)]
@@ -147,7 +155,12 @@ def _is_numbering(lines: list[str], first: int, separator: str) -> bool:
 
 def _cells(line: str, separator: str) -> list[str]:
     """Cells of a line; any number of blanks separates where blanks do."""
-    return line.split() if separator == " " else next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    if separator == " ":
+        return line.split()
+    try:
+        return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:  # a cell is longer than any of a table
+        return line.split(separator)
 
 
 def _decimal(lines: list[str], separator: str) -> str:

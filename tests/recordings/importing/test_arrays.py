@@ -95,6 +95,23 @@ def test_arrays_are_read_as_they_were_written(kind, known, tmp_path):
     holds(imported.experiment.motions[0].table, known)
 
 
+def test_objects_of_matlab_are_told_as_such(known, tmp_path):
+    """A timeseries in a MAT file is a reference of six numbers, which was offered as a column."""
+
+    def write(**arrays: np.ndarray) -> Path:
+        with h5py.File(tmp_path / "log.mat", "w") as file:
+            log = file.create_dataset("log", data=np.array([[0xDD000000, 2, 1, 1, 1, 1]], np.uint32))
+            log.attrs["MATLAB_class"], log.attrs["MATLAB_object_decode"] = np.bytes_("timeseries"), 3
+            for name, values in arrays.items():
+                file.create_dataset(name, data=values.T).attrs["MATLAB_class"] = np.bytes_("double")
+        return tmp_path / "log.mat"
+
+    with pytest.raises(InputError, match=r"no arrays of samples; it holds log \(timeseries\); .* save x.Time and x.Data"):
+        bayesid.read_recording(write(), known.urdf, joints=JOINTS)
+    imported = bayesid.read_recording(write(t=known.t[:, None], q=known.q, tau=known.tau), known.urdf, joints=JOINTS)
+    assert imported.recordings[0].recording.left_over == ("log (timeseries)",)
+
+
 @pytest.mark.parametrize("kind", WRITERS)
 def test_cut_off_and_damaged_files_end_in_one_line(kind, known, tmp_path):
     name, write = WRITERS[kind]

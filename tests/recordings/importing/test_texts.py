@@ -67,6 +67,9 @@ MATRICES = {
     "decimal commas": csv(sep=";", decimal=",", header=False),
     "decimal commas between blanks": csv(sep=" ", decimal=",", header=False),
     "commas and blanks, as savetxt has it": numpy(delimiter=", "),
+    "tabs between groups, blanks within": lambda path, frame: path.write_text(
+        "".join(f"{a!r}\t{b!r} {c!r}\t{d!r} {e!r}\t\n" for a, b, c, d, e in frame.to_numpy().tolist())
+    ),
     "a separator that ends each row": lambda path, frame: path.write_text(
         frame.to_csv(header=False, index=False).replace("\n", ",\n")
     ),
@@ -91,6 +94,15 @@ def test_a_row_of_numbers_that_is_cut_off_is_refused(known, tmp_path):
     with (tmp_path / "log.txt").open("a", encoding="utf-8") as file:
         file.write("2.0 0.1\n")
     with pytest.raises(InputError, match=r"log.txt: line 251: 2 cells where the first row has 5"):
+        bayesid.read_recording(tmp_path / "log.txt", known.urdf, joints=JOINTS)
+
+
+def test_a_header_of_groups_is_told_from_rows_that_are_cut_off(known, tmp_path):
+    """It was said of the second line that a cell was missing."""
+    (tmp_path / "log.txt").write_text("time\tpositions\n" + frame(known).to_csv(sep="\t", header=False, index=False))
+    with pytest.raises(
+        InputError, match=r"log.txt: line 1 names 2 columns, but every row has 5 cells; name each of them, or none"
+    ):
         bayesid.read_recording(tmp_path / "log.txt", known.urdf, joints=JOINTS)
 
 
