@@ -321,8 +321,9 @@ class Model:
     def rotor_reading(self, channels: Channels, carries, states, twists, effect: families.RotorEffect) -> np.ndarray:
         """What a rotor of unit inertia adds to each channel (N, c)."""
         body, couple, own = self._rotor(states, effect)
-        out = np.einsum("nck,nk->nc", twists, couple) * carries[:, body]
         joint = effect.joint or 0
+        # Of the root a sensor under one branch carries no more than what that branch hangs on.
+        out = np.einsum("nck,nk->nc", twists, couple) * (carries[:, body] & carries[:, joint])
         if (name := f"tau{joint + 1}") in channels.names:
             rate = 0.0 if self.segment.still or effect.ratio is None else effect.ratio * self.motor[2][:, joint]
             out[:, channels.names.index(name)] += own + rate

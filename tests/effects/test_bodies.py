@@ -6,10 +6,13 @@ import pytest
 
 from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.dynamics.regressors import Kernel
-from bayesid.effects import MotionSegment, readings, rigid_columns
+from bayesid.effects import MotionSegment, columns, readings, rigid_columns
 from bayesid.effects.bodies import InertiaError, Payload
 from bayesid.robot import inertia
+from bayesid.robot.robot import load_robot
 from tests.effects.arms import SHIFT, TURN, at_base, both, load, moving, term
+from tests.example_robots import ZERO, Joint, urdf_text
+from tests.robots import body, write
 
 
 @pytest.mark.parametrize("name", ["panda", "tree", "prismatic_arm", "wrist_sensor_arm"])
@@ -30,11 +33,11 @@ def test_without_effects_they_are_the_rigid_model(tmp_path, name):
 def test_payload_is_a_body_more(wrist):
     """In the joint's frame, on the part beyond a sensor that splits the link."""
     segment = moving(wrist, 40)
-    body = term(wrist, "payload@joint6").effect.typical(wrist)
-    got = readings(wrist, both(wrist), segment, wrist.nominal, [term(wrist, "payload@joint6", *body)])
+    more = term(wrist, "payload@joint6").effect.typical(wrist)
+    got = readings(wrist, both(wrist), segment, wrist.nominal, [term(wrist, "payload@joint6", *more)])
     links = wrist.nominal.copy()
     inverse = wrist.body_rotation[6].T
-    links[6] += inertia.transform(body, inverse, -inverse @ wrist.body_translation[6])
+    links[6] += inertia.transform(more, inverse, -inverse @ wrist.body_translation[6])
     np.testing.assert_allclose(got, readings(wrist, both(wrist), segment, links), atol=1e-10)
     got = readings(wrist, both(wrist), segment, wrist.nominal, [term(wrist, "inertia_error@joint2", *(-0.1 * wrist.nominal[1]))])
     links = wrist.nominal.copy()
@@ -66,6 +69,25 @@ def test_rotor_is_a_body_that_spins_fast(panda):
             own[joint] += gear * tau[k]
             out.append(np.concatenate([data.oMi[1].act(data.f[1]).vector, own]))
         np.testing.assert_allclose(got[sample], out[0] - out[1], atol=1e-9)
+
+
+def test_a_sensor_under_one_branch_reads_the_rotors_of_that_branch_alone(tmp_path):
+    """Two arms on one root: the couple of the other's first motor goes past the sensor."""
+    limbs = [(side, k) for side in ("left", "right") for k in (1, 2)]
+    links = [body("root", 5.0, ZERO, (0.2, 0.2, 0.1)), body("plate", 1.0, ZERO, (0.1, 0.1, 0.02))]
+    links += [body(f"{side}{k}", 2.0, (0.1, 0.02, 0.03), (0.2, 0.06, 0.08)) for side, k in limbs]
+    joints = [Joint("under_left", "root", "plate", (0.0, 0.3, 0.1), (0.2, 0.1, -0.3), "fixed")]
+    for side, under in (("left", "plate"), ("right", "root")):
+        joints += [Joint(f"{side}_a", under, f"{side}1", (0.0, -0.1, 0.2), (0.3, 0.2, 0.1))]
+        joints += [Joint(f"{side}_b", f"{side}1", f"{side}2", (0.3, 0.0, 0.0), (0.4, 0.0, 0.2))]
+    robot = load_robot(write(tmp_path, urdf_text("two", links, joints)), sensor_joint="under_left")
+    segment, channels = moving(robot, 40), both(robot)
+    plain = readings(robot, channels, segment, robot.nominal)
+    for k, name in enumerate(robot.joint_names, 1):
+        spin = term(robot, f"rotor_momentum@joint{k}", 0.01)
+        read = np.abs(readings(robot, channels, segment, robot.nominal, [spin]) - plain)[:, :6].max()
+        slope = np.abs(columns(robot, channels, segment, robot.nominal, (), spin.effect, spin.values))[:, :6].max()
+        assert (read > 1e-3) == (slope > 1e-3) == name.startswith("left"), name
 
 
 def test_a_payload_tells_its_centre_of_mass():
