@@ -39,11 +39,11 @@ from scipy.fft import dct
 from bayesid.estimators.dispersion import Dispersion
 from bayesid.estimators.factor import Factor, gram_of, pilot_of, reduce_whitened, regressor_times, whitened
 from bayesid.estimators.sensor_noise import sensor_noise
-from bayesid.estimators.weights import Weights, stated_noise, student_factor
+from bayesid.estimators.weights import Weights, stated_noise
 from bayesid.regression.blocks import Block, RegressorNoise
 from bayesid.regression.linalg import pseudo_inverse, solve
 from bayesid.regression.regression import Regression
-from bayesid.signals.noise import NoiseModel, memoryless
+from bayesid.signals.noise import NoiseModel, memoryless, student_factor
 
 #: Coefficients in the lowest octave, at least: a variance from so many is sure to 22 %, a standard deviation to 11 %.
 LEAST = 40
@@ -146,22 +146,28 @@ def _found(regression: Regression, weights: Weights) -> dict[str, InnovationSpec
         groups.setdefault(block.group, []).append(white)
     covariance, out = bread, {}
     for _ in range(_PASSES):
-        out = {group: _estimated(group, parts, solution, covariance) for group, parts in groups.items()}
+        out = {group: _estimated(weights.noise[group], group, parts, solution, covariance) for group, parts in groups.items()}
         middle = sum(out[group].gram(group, part[:, :, :-1]) for group, parts in groups.items() for part in parts)
         covariance = bread @ middle @ bread
     return out
 
 
-def _estimated(group: str, parts: Sequence[np.ndarray], solution: np.ndarray, covariance: np.ndarray) -> InnovationSpectrum:
-    """The spectrum of whitened rows [X y] (k, c, p + 1) of recordings, with a fit (p,) and its covariance (p, p)."""
-    count = sum(map(len, parts))
-    octaves = int(np.log2(max(count / LEAST, 1.0))) if group == "trajectory" else 0
+def _estimated(
+    noise: NoiseModel, group: str, parts: Sequence[np.ndarray], solution: np.ndarray, covariance: np.ndarray
+) -> InnovationSpectrum:
+    """The spectrum of whitened rows [X y] (k, c, p + 1) of recordings, with a fit (p,) and its covariance (p, p).
+
+    Poses have no colour that whitening could leave; how large their noise is, these few tell best together, as ``noise`` has it.
+    """
+    channels = parts[0].shape[1]
+    if group != "trajectory":
+        return InnovationSpectrum(np.ones(1), student_factor(noise.degrees) * np.eye(channels)[None])
+    octaves = int(np.log2(max(sum(map(len, parts)) / LEAST, 1.0)))
     edges = 2.0 ** -np.arange(octaves, -1, -1)
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     # One more column a parameter: what the fit took, beside the residual.
     taken = np.column_stack([np.append(-solution, 1.0), np.vstack([root, np.zeros((1, len(root)))])])
-    channels = parts[0].shape[1]
     power, rows = np.zeros((len(edges), channels, channels)), np.zeros(len(edges))
     for part in parts:
         for k, band in enumerate(_bands(_coefficients(group, part @ taken), edges)):

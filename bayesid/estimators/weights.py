@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import norm, t
 
 from bayesid.estimators.dispersion import Dispersion, Rows, dispersions, widening
 from bayesid.estimators.factor import Factor, Pilot, pilot_of, regressor_times, whitened
@@ -19,7 +18,7 @@ from bayesid.regression.blocks import Block, RegressorNoise
 from bayesid.regression.hypothesis_tests import hausman
 from bayesid.regression.linalg import pseudo_inverse, solve, standard_deviations
 from bayesid.regression.regression import Regression
-from bayesid.signals.noise import NoiseModel, estimate_noise, memoryless
+from bayesid.signals.noise import NoiseModel, estimate_noise, memoryless, student_factor
 
 #: Rounds of estimating the noise, at most, and the largest change of a round after which no other is needed, relative to the
 #: noise's power and to one.
@@ -57,8 +56,6 @@ class Weights:
     channels: dict[str, Dispersion] = field(default_factory=dict)
     #: Whether rows are weighted by the noise even if the model lacks something, for it is not learned from residuals alone.
     by_noise: bool = False
-    #: Poses that the size of their noise rests on, less what was fitted to them; no end where it is stated, or there are none.
-    poses: float = np.inf
 
     @cached_property
     def factors(self) -> np.ndarray:
@@ -82,18 +79,9 @@ class Weights:
         return dict(zip(self.channels, self.factors.tolist(), strict=True)) if self.widened and self.channels else None
 
     def dispersed(self, noise: dict[str, NoiseModel] | None = None) -> dict[str, NoiseModel]:
-        """Noise (default `noise`) as large as the scatter between parts of the recording says, and as few poses leave it open."""
+        """Noise (default `noise`) as large as the scatter between parts of the recording says, and as few rows leave it open."""
         noise = self.noise if noise is None else noise
-        sure = {"poses": student_factor(self.poses)}
-        return {g: m.scaled(self.factors * sure.get(g, 1.0)) for g, m in noise.items()}
-
-
-def student_factor(degrees: np.ndarray | float) -> np.ndarray:
-    """Factor of a variance that so many degrees of freedom tell, for Student's quantile in place of the normal one.
-
-    Intervals of 95 % are 1.96 standard deviations on either side everywhere: a deviation that is not sure is made larger.
-    """
-    return np.asarray((t.ppf(0.975, degrees) / norm.ppf(0.975)) ** 2)
+        return {g: m.scaled(self.factors * student_factor(m.degrees)) for g, m in noise.items()}
 
 
 def learn_weights(regression: Regression) -> Weights:
@@ -152,8 +140,7 @@ def _learned(regression: Regression) -> Weights:
         Rows(pilot.segments([r[:, c : c + 1] for r in rows]), _channel_middle(pilot, noise, scale, c)) for c in range(len(names))
     ]
     scatter, *parts = dispersions(Rows(pilot.segments(rows), middle), plain, channels)
-    poses = _left(blocks, len(plain)).get("poses", np.inf)
-    return Weights(noise, agreement, complete, plain, scatter, found, dict(zip(names, parts, strict=True)), poses=poses)
+    return Weights(noise, agreement, complete, plain, scatter, found, dict(zip(names, parts, strict=True)))
 
 
 def _with_rung_errors(regression: Regression, law: RegressorNoise, pilot: Pilot, plain: np.ndarray) -> Weights:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular, toeplitz
 from scipy.signal import lfilter
+from scipy.stats import norm, t
 
 from bayesid.signals.autoregression import autocovariance, channel_products, fit, mix, moving_average
 
@@ -30,6 +31,7 @@ class NoiseModel:
     coefficients: np.ndarray  # whitening polynomial of each channel, ``1, -a_c1, ..., -a_cp`` (channels, p + 1)
     innovation: np.ndarray  # covariance S of the innovations (channels, channels), squared units of the channels
     from_zero: bool = False  # whether the noise starts from the zero state (filtered rows) or is stationary
+    degrees: float = np.inf  # degrees of freedom that its size rests on, where these are few
 
     @classmethod
     def stated(cls, std: np.ndarray, known_poles: np.ndarray | None = None) -> NoiseModel:
@@ -70,17 +72,19 @@ class NoiseModel:
         """Variances of channels of the same unit brought together by the share of their differences that chance makes.
 
         Weighting by channel trusts what few rows happen to leave quiet. The logarithm of a variance that so many rows tell
-        varies by 2 / rows; as correlations are shrunk, so are these, towards the mean variance [Schaefer2005]_.
+        varies by 2 / rows; as correlations are shrunk, so are these, towards the mean variance [Schaefer2005]_, which rests on
+        the rows of all of these channels.
         """
         size = np.diag(self.innovation)
-        sure = size.copy()
+        sure, degrees = size.copy(), np.inf
         for unit in dict.fromkeys(units):
             own = np.array([u == unit for u in units])
-            apart = np.log(size[own]) - np.mean(np.log(size[own]))
-            chance = 2.0 / rows * (own.sum() - 1) / max(float(np.sum(apart**2)), 1e-300)
-            kept = np.exp((1.0 - min(chance, 1.0)) * apart)
-            sure[own] = kept * np.mean(size[own]) / np.mean(kept)
-        return self.scaled(sure / size)
+            apart, count = np.log(size[own]) - np.mean(np.log(size[own])), own.sum()
+            kept = 1.0 - min(2.0 / rows * (count - 1) / max(float(np.sum(apart**2)), 1e-300), 1.0)
+            ratio = np.exp(kept * apart)
+            sure[own] = ratio * np.mean(size[own]) / np.mean(ratio)
+            degrees = min(degrees, rows / (kept**2 + (1.0 - kept**2) / count))
+        return replace(self.scaled(sure / size), degrees=degrees)
 
     def of_channel(self, channel: int) -> NoiseModel:
         """The noise of one channel alone."""
@@ -165,6 +169,14 @@ class NoiseModel:
                             head[t] -= a[k] * later[t + k - first]
                 z[:first, c] = (factor.T @ head.reshape(first, -1)).reshape(head.shape)
         return mix(root, z)
+
+
+def student_factor(degrees: np.ndarray | float) -> np.ndarray:
+    """Factor of a variance that so many degrees of freedom tell, for Student's quantile in place of the normal one.
+
+    Intervals of 95 % are 1.96 standard deviations on either side everywhere: a deviation that is not sure is made larger.
+    """
+    return np.asarray((t.ppf(0.975, degrees) / norm.ppf(0.975)) ** 2)
 
 
 def memoryless(noise: Mapping[str, NoiseModel]) -> bool:
