@@ -82,7 +82,7 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
         found, rank = super().parameters(level), self.base.rank
         values, std, low, high = (x.copy() for x in (found.values, found.std, found.low, found.high))
         if self.link_draws is not None:
-            draws = self.own_effect_draws.reshape(-1, len(values) - rank)
+            draws = np.concatenate(self.own_effect_draws)
             values[rank:], std[rank:] = draws.mean(axis=0), draws.std(axis=0, ddof=1)
             low[rank:], high[rank:] = np.quantile(draws, tails(level), axis=0)
         else:
