@@ -89,7 +89,9 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
     def noisy(segments: Sequence[SpectralSegment]) -> tuple[SpectralSegment, ...]:
         out = []
         for s in segments:
-            noise = spectrum.of(s.motion).at(s.frequencies, sensor[False]) if spectrum and not s.still else sensor[s.still]
+            noise = sensor[s.still]
+            if spectrum and not s.still:
+                noise = spectrum.of(s.motion).at(s.frequencies, s.step, noise)
             out.append(with_noise(s, predict, resmooth, noise, count, random, rng))
         return tuple(out)
 
@@ -208,17 +210,17 @@ def _pulls(data: DiagnosisData, segments: Sequence[SpectralSegment]) -> np.ndarr
 
 
 def _rests(data: DiagnosisData, count: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Times (N,) and readings (N, c) where the robot stands still, in motions and in static runs sampled like them."""
+    """Times (N,) and readings (N, c) where the robot stands still, in motions and in static runs sampled like theirs."""
     moving = [s for s in (*data.segments, *data.unseen) if not s.still]
     motions = {m.name: m for m in data.experiment.motions if m.name in {s.motion for s in moving}}
-    step = float(np.median([s.step for s in moving]))
+    steps = {s.motion: s.step for s in moving}
     parts = [(s.times, s.readings, rests(motions[s.motion], s.times, s.encoders, count)) for s in moving]
     for motion in motions.values():
         table = motion.static
         if table is not None and not motion.stop_and_go and has_readings(table, data.channel):
             # Rows of poses that were averaged one by one are no recording.
             pieces = [p for p in table.segments() if p.stop - p.start > 2]
-            pieces = [p for p in pieces if abs(usual_step(table.times[p]) / step - 1.0) < 0.1]
+            pieces = [p for p in pieces if abs(usual_step(table.times[p]) / steps[motion.name] - 1.0) < 0.1]
             read = readings_of(data.experiment, table, data.channel)
             parts += [(table.times[p], read[p], find_rests(table.times[p], table.positions[p], count)) for p in pieces]
     out = []

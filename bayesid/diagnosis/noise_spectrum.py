@@ -44,9 +44,14 @@ class Piece:
     settings: Settings  # the thresholds
 
     @property
+    def step(self) -> float:
+        """Time between samples [s]."""
+        return float((self.times[-1] - self.times[0]) / (len(self.times) - 1))
+
+    @property
     def frequencies(self) -> np.ndarray:
         """Frequencies of the coefficients in the band (K,) [Hz]."""
-        length = len(self.times) * (self.times[-1] - self.times[0]) / (len(self.times) - 1)
+        length = len(self.times) * self.step
         return 0.5 / length * np.arange(int(2.0 * length * self.settings.band))
 
     def power(self, values: np.ndarray) -> np.ndarray:
@@ -58,10 +63,14 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class NoiseSpectrum:
-    """Noise of the readings by frequency."""
+    """Noise of the readings by frequency.
+
+    Noise that is stronger in the band than above it is there whether it is sampled or not: what recordings at different rates
+    have in common is its density, the variance of a sample times the time between samples.
+    """
 
     frequencies: np.ndarray  # centres of bands (B,) [Hz]
-    std: np.ndarray  # standard deviation of white noise that is as strong there (B, c)
+    density: np.ndarray  # root of the density (B, c), in the channels' units times s^1/2
     correlation: np.ndarray  # across channels (B, c, c)
     freedom: np.ndarray  # degrees of freedom of each band (B,)
     lowest: float  # frequency from which on it was measured [Hz]; below, the lowest band's is taken
@@ -77,10 +86,13 @@ class NoiseSpectrum:
         """Whether it was measured where it matters."""
         return self.lowest <= 1.0 / settings.shortest_segment
 
-    def at(self, frequencies: np.ndarray, least: np.ndarray | None = None) -> np.ndarray:
-        """Covariance of one sample (K, c, c) at frequencies (K,); standard deviations no smaller than least (c,)."""
+    def at(self, frequencies: np.ndarray, step: float, least: np.ndarray | None = None) -> np.ndarray:
+        """Covariance of one sample of as strong white noise (K, c, c) at frequencies (K,), samples a step apart [s].
+
+        Its standard deviations are no smaller than least (c,).
+        """
         x, knots = np.log(np.maximum(frequencies, 1e-3)), np.log(self.frequencies)
-        out = np.exp(np.stack([np.interp(x, knots, column) for column in np.log(self.std).T], axis=1))
+        out = np.exp(np.stack([np.interp(x, knots, column) for column in np.log(self.density).T], axis=1)) / np.sqrt(step)
         out = out if least is None else np.maximum(out, least)
         flat = self.correlation.reshape(len(knots), -1).T
         between = np.stack([np.interp(x, knots, column) for column in flat], axis=1).reshape(-1, *self.correlation.shape[1:])
@@ -158,8 +170,8 @@ def measured_spectrum(pieces: Sequence[Piece]) -> NoiseSpectrum | None:
     parts = []
     for p in pieces:
         seen = p.frequencies >= p.lowest
-        total = p.power(p.values)[seen]
-        known = np.mean([p.power(k)[seen] for k in p.known], axis=0) if len(p.known) else np.zeros_like(total)
+        total = p.step * p.power(p.values)[seen]
+        known = p.step * np.mean([p.power(k)[seen] for k in p.known], axis=0) if len(p.known) else np.zeros_like(total)
         parts.append((p.frequencies[seen], total, known, np.full(seen.sum(), p.share)))
     if not parts:
         return None
@@ -182,12 +194,12 @@ def measured_spectrum(pieces: Sequence[Piece]) -> NoiseSpectrum | None:
     rest = np.stack([_less(a, k) for a, k in zip(all_, part, strict=True)])
     size = np.sqrt(np.einsum("bcc->bc", rest))
     # As many degrees of freedom as there are make whitened squares larger than 1 by nu / (nu - 2) on average.
-    std = size * np.sqrt(weight / (weight - 2.0))[:, None]
+    density = size * np.sqrt(weight / (weight - 2.0))[:, None]
     centre = np.exp(banded(np.log(frequency)))
     correlation = rest / (size[:, :, None] * size[:, None, :])
     near = [slice(max(b - 1, 0), b + 2) for b in range(len(weight))]
     sound = [_sound(np.average(correlation[n], axis=0, weights=weight[n]), float(weight[n].sum())) for n in near]
-    return NoiseSpectrum(centre, std, np.stack(sound), weight, float(frequency[0]))
+    return NoiseSpectrum(centre, density, np.stack(sound), weight, float(frequency[0]))
 
 
 def _less(total: np.ndarray, known: np.ndarray) -> np.ndarray:

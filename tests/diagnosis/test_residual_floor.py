@@ -11,6 +11,7 @@ from scipy.signal import butter, freqz, lfilter
 from bayesid import diagnose
 from bayesid.diagnosis import noise as noise_of_segments
 from bayesid.diagnosis import noise_spectrum
+from bayesid.diagnosis.data import residual_rows
 from bayesid.diagnosis.encoders import with_noise
 from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.prepare import prepare_data
@@ -105,7 +106,7 @@ def test_repeats_give_the_spectrum_of_coloured_noise(robot, law, name):
     assert measured.lowest < 0.1
     # Above the encoders' share, which grows with frequency, and where bands are not wider than the slope allows.
     where = np.array([0.3, 0.7, 1.0, 2.0, 3.0, 4.0])
-    got = np.sqrt(measured.at(where).diagonal(0, 1, 2))
+    got = np.sqrt(measured.at(where, 1.0 / RATE).diagonal(0, 1, 2))
     ratio = got / spectrum(law, where)
     assert np.all((ratio > 0.7) & (ratio < 1.4)), ratio
     assert abs(np.mean(np.log(ratio))) < 0.1
@@ -155,7 +156,7 @@ def test_two_recordings_of_one_motion_are_repeats(robot):
     assert [(p.first, p.second) for p in pair] == [(0, 1)]
     assert pair[0].lag == pytest.approx(-cut / RATE, abs=2e-4)
     where = np.array([0.5, 1.0, 2.0, 3.0])
-    ratio = np.sqrt(found.spectrum.at(where).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
+    ratio = np.sqrt(found.spectrum.at(where, 1.0 / RATE).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
     assert np.all((ratio > 0.65) & (ratio < 1.5)), ratio
 
 
@@ -174,8 +175,8 @@ def test_encoder_errors_that_do_not_repeat_are_not_taken_for_the_sensors(robot):
     whole = noise_spectrum.measured_spectrum(pieces)
     assert whole is not None
     where = np.array([1.0, 2.0, 3.0, 4.0])
-    ratio = np.sqrt(found.spectrum.at(where).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
-    raw = np.sqrt(whole.at(where).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
+    ratio = np.sqrt(found.spectrum.at(where, 1.0 / RATE).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
+    raw = np.sqrt(whole.at(where, 1.0 / RATE).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
     assert np.mean(np.log(raw[-1])) > 0.4
     assert abs(np.mean(np.log(ratio[:3]))) < 0.2
     # Another recording of both: the floor is what remains, neither less nor twice as much.
@@ -193,9 +194,21 @@ def test_a_robot_that_stands_still_shows_its_noise(robot):
     found = made(setting(robot, parked(robot, 6, 5.5), FILTERED))
     assert (found.floor_known, found.floor_source) == (True, "parked")
     where = np.array([0.5, 1.0, 2.0, 3.0])
-    ratio = np.sqrt(found.spectrum.at(where).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
+    ratio = np.sqrt(found.spectrum.at(where, 1.0 / RATE).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
     assert np.all((ratio > 0.6) & (ratio < 1.6)), ratio
     assert abs(np.mean(np.log(ratio))) < 0.15
+
+
+def test_the_noise_of_a_rest_is_the_same_at_any_rate(robot):
+    """Two motions that begin and end at rest, one recorded at a third of the other's rate: coloured noise keeps its density."""
+    given = setting(robot, parked(robot, 6, 5.5), FILTERED, parked(robot, 7, 5.5))
+    fast, slow = given.motions
+    third = Table(times=slow.table.times[::3], positions=slow.table.positions[::3], wrench=slow.table.wrench[::3])
+    found = made(replace(given, motions=(fast, replace(slow, table=third))))
+    assert found.floor_source == "parked"
+    for segments in (found.segments, found.unseen):
+        left = residual_rows(found, segments, found.links, np.zeros(6), ())
+        assert 0.8 < np.mean(left**2) < 1.25
 
 
 def test_a_rest_that_the_experiment_states_shows_its_noise(robot):
@@ -209,7 +222,7 @@ def test_a_rest_that_the_experiment_states_shows_its_noise(robot):
     found = made(replace(given, motions=(replace(motion, parked=((0.5, 5.0), (26.0, 30.5))),)))
     assert (found.floor_known, found.floor_source) == (True, "parked")
     where = np.array([0.5, 1.0, 2.0, 3.0])
-    ratio = np.sqrt(found.spectrum.at(where).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
+    ratio = np.sqrt(found.spectrum.at(where, 1.0 / RATE).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
     assert abs(np.mean(np.log(ratio))) < 0.15
 
 
@@ -297,7 +310,7 @@ def test_pieces_of_white_noise_give_its_variance():
         ]  # fmt: skip
         found = noise_spectrum.measured_spectrum(pieces)
         assert found is not None
-        values.append(np.average(found.std**2 * (1 - 2 / found.freedom)[:, None], axis=0, weights=found.freedom))
+        values.append(np.average(found.density**2 / 0.008 * (1 - 2 / found.freedom)[:, None], axis=0, weights=found.freedom))
     np.testing.assert_allclose(values, [[1.0, 25.0]] * 2, rtol=0.05)
 
 
