@@ -249,10 +249,15 @@ def moment_sentence(stability: Stability, needed: float, *, poses: bool = False)
     return f"{text} See what happened there, or record {them} again."
 
 
-def next_experiment(verdict: Verdict, found: Sequence[Found], *, poses: bool = False) -> str:
+def next_experiment(verdict: Verdict, found: Sequence[Found], *, poses: bool = False, floor_known: bool = True) -> str:
     """What to record next, in a sentence; of ``poses`` at rest where these were fitted."""
     if poses:
         return _next_poses(verdict, found)
+    if verdict == "nothing_missing" and not floor_known:
+        return (
+            "Record the robot at rest for half a minute, and one motion twice, so that the noise is known; then one joint at a "
+            "time, slowly and fast, to see whether anything is missing that the library does not have."
+        )
     if verdict == "ambiguous" and all(len(f.rivals) == len(f.together) for f in found):
         pairs = "; ".join(f"{f.term.effect.spec} from {' and '.join(f.together)}" for f in found if f.together)
         return f"No motion tells {pairs}: another sensor or channel may, such as joint torques beside a wrench."

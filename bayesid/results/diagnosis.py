@@ -290,6 +290,8 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     """The verdict in plain words."""
     d = diagnosis
     names = [f"{placed(f.term.effect, d.data.robot)} ({f.term.effect.summary})" for f in d.found]
+    if d.verdict == "nothing_missing" and not d.data.floor_known:
+        return "Nothing of the library is missing that these motions could show; anything else may be: the noise is not known."
     if d.verdict == "nothing_missing":
         return "Nothing is missing that these motions could show: the model as it is explains the readings down to their noise."
     if d.verdict == "unknown":

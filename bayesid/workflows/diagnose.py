@@ -248,7 +248,7 @@ def _concluded(found: _Decided, tried: InPart | None, imitate: bool, seed: int) 
         where=_places(s, s.base),
         gap=gap,
         remarks=remarks(s, gap, decided, why, parts, tried, contradicted),
-        next_experiment=next_experiment(decided, named, poses=data.poses),
+        next_experiment=next_experiment(decided, named, poses=data.poses, floor_known=data.floor_known),
         stability=parts if named else (),
         part=part,
         reason=why,

@@ -12,6 +12,7 @@ import bayesid
 from bayesid.cli import main
 from bayesid.diagnosis.data import Episode
 from bayesid.diagnosis.locate import BANDS, by_band, by_window
+from bayesid.diagnosis.remarks import next_experiment
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.validation import residual_spectra
 from bayesid.effects import EffectLibrary, Term
@@ -221,6 +222,15 @@ def test_the_summary_of_each_verdict(named, clean):
     text = str(unknown(named))
     assert "no effect of the library explains it" in text and "best attempt: sensor_gain@mx" in text
     assert "note: The floor is a guess." in text and "note: Something" not in text
+
+
+def test_nothing_found_beside_a_noise_that_is_not_known_is_not_said_to_be_all(clean):
+    """What the richest model leaves stood in for the noise: a residual many times the sensor's noise may be under it."""
+    guessed = str(replace(clean, data=replace(clean.data, floor_known=False)))
+    assert "down to" not in guessed and "the noise is not known" in guessed
+    asked = next_experiment("nothing_missing", (), floor_known=False)
+    assert "at rest" in asked and "Nothing is left" not in asked
+    assert "Nothing is left" in next_experiment("nothing_missing", ())
 
 
 def test_two_effects_and_a_contact(named):
