@@ -62,6 +62,8 @@ def simulate(
         simulation = bayesid.simulate(setup, made, effects=plant, perturb=perturb, recorder=recorder, seed=seed)
         folder = shared.output_folder(out, simulation.name, "simulate")
         write_simulation(simulation, folder)
+    for text in setup.warnings:
+        say(f"  warning: {text}")
     for spec, given in simulation.truth.effects.items():
         say(f"  {spec}: " + ", ".join(f"{key} {value:.4g}" for key, value in given.items()))
     for motion in simulation.motions:

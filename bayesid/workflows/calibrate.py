@@ -24,7 +24,7 @@ from bayesid.results.payload import KINDS, Calibration, HiddenEffect
 from bayesid.rounding import number, percent
 from bayesid.workflows.explained import Explained, explain, offset_of
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
-from bayesid.workflows.warnings import contradictions, impossible_signs
+from bayesid.workflows.warnings import contradictions, impossible_signs, of_recordings
 
 #: A mass that people have, and would hang on [kg].
 _USUAL = 1.0
@@ -133,7 +133,10 @@ def calibrate(
         mass=None if known is None else known.mass,
         centre=() if known is None else known.centre, common_gain=gain, load=_load(best, experiment, known),
         verdict=found.verdict, sentences=tuple(_sentences(known, gain, mass, reference is not None)),
-        warnings=(*impossible_signs(best.estimate, best.problem), *found.warnings, *contradictions(found.first.agreements)),
+        warnings=of_recordings(
+            experiment,
+            [*impossible_signs(best.estimate, best.problem), *found.warnings, *contradictions(found.first.agreements)],
+        ),
         seconds=clock.stop(),
     )  # fmt: skip
 

@@ -40,6 +40,7 @@ from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.excitation import NEXT_MOTION, telling_sentence
 from bayesid.validation.own_fit import before_and_after
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
+from bayesid.workflows.warnings import of_recordings
 
 
 class DiagnoseChoices(TypedDict, total=False):
@@ -189,7 +190,8 @@ def diagnose(
         if diagnosis.part is not None and stands_alone(diagnosis.description):
             other = concluded(imitate=True)
             diagnosis = other if stands_alone(other.description) else diagnosis
-    return replace(diagnosis, seconds=time.perf_counter() - since)
+    said = of_recordings(experiment, diagnosis.remarks)
+    return replace(diagnosis, remarks=said, seconds=time.perf_counter() - since)
 
 
 @dataclass(frozen=True, eq=False)

@@ -165,8 +165,8 @@ def _result(plan: Plan, clock: Clock) -> Excitation:
             (q.name, q.unit, std)
             for q, std in zip(plan.task.quantities, plan.task.quantity_stds(plan.series), strict=True)
         ),
-        diagnosability=plan.diagnosability, condition_number=found.condition, notes=(*plan.notes, *left_out),
-        seconds=dict(clock.stop()),
+        diagnosability=plan.diagnosability, condition_number=found.condition,
+        notes=(*plan.notes, *left_out, *experiment.warnings), seconds=dict(clock.stop()),
     )  # fmt: skip
 
 

@@ -35,7 +35,7 @@ from bayesid.rounding import channel_text, number, percent, with_half
 from bayesid.workflows.diagnose import diagnose
 from bayesid.workflows.explained import Explained, explain, offset_of
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
-from bayesid.workflows.warnings import contradictions, impossible_signs
+from bayesid.workflows.warnings import contradictions, impossible_signs, of_recordings
 
 #: Effects that are another body on a link: on the one that carries the payload they are the payload.
 _BODIES = ("payload", "inertia_error")
@@ -217,7 +217,7 @@ def payload(
         world=urdf.root_link,
         gravity=experiment.robot.gravity, evidence=found.evidence, nominal_share=found.share, more=found.more,
         sentences=found.sentences,
-        warnings=found.warnings, seconds=clock.stop(),
+        warnings=of_recordings(experiment, found.warnings), seconds=clock.stop(),
     )  # fmt: skip
     return replace(result, sentences=(*_not_shown(result), *result.sentences))
 

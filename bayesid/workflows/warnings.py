@@ -13,6 +13,7 @@ from bayesid.effects.segment import late_start
 from bayesid.estimators import Estimate
 from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.recordings.complaints import listed
+from bayesid.recordings.experiment import Experiment
 from bayesid.regression.problem import Problem
 from bayesid.regression.readings import has_readings
 from bayesid.section import powers
@@ -43,6 +44,16 @@ def of_fit(
             'Add a motion with role = "validation".'
         )
     return out
+
+
+def of_recordings(experiment: Experiment, notes: Iterable[str]) -> tuple[str, ...]:
+    """What a verb has to say, after what is certainly wrong with the recordings, or most likely, and before what is doubtful.
+
+    For verbs that show no fit as `bayesid.identify` does: nothing that they find holds of readings with another sign or unit.
+    """
+    from bayesid.validation.mistakes.search import find_mistakes
+
+    return experiment.with_findings([*(m.text for m in find_mistakes(experiment)), *notes], validated=False)
 
 
 def unseen_effects(problem: Problem) -> list[str]:
