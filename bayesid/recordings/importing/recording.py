@@ -16,7 +16,7 @@ from bayesid.recordings.importing.arrays import read_hdf5, read_mat, read_npz
 from bayesid.recordings.importing.bags import read_bag
 from bayesid.recordings.importing.clock import RowTimes, row_clock, table_clock, topic_clock
 from bayesid.recordings.importing.column_map import ColumnMap
-from bayesid.recordings.importing.found_columns import Layout, find_columns, positions_of, time_column, times_of
+from bayesid.recordings.importing.found_columns import Layout, find_columns, positions_of, stated_times, time_column, times_of
 from bayesid.recordings.importing.signals import Signal, make_signals, resting
 from bayesid.recordings.importing.stream import Source, Stream, kind_of
 from bayesid.recordings.importing.tables import read_csv, read_lerobot, read_parquet
@@ -57,6 +57,8 @@ def read_source(
         f'files "{path.suffix}" are not known',
         "give a ROS bag, MCAP, CSV, Parquet, NPZ, MAT, HDF5 or a LeRobot data set",
     )
+    if path.suffix.lower() in (".xlsx", ".xls", ".ods"):
+        remedy = "save the sheet as CSV"
     if kind == "pickle":
         what, remedy = "is a pickle, which could run anything when it is read", "save arrays as .npz or CSV"
     elif path.is_dir():
@@ -300,8 +302,13 @@ def make_recording(
     layout = find_columns(source.streams, stated, moving, joints, source.name, locked)
     used = {id(found.stream) for found in layout.found}
     clocks: list[tuple[Stream, RowTimes]] = []
+    given = stated_times(stated)
+    named = not given or any(times_of(stream, given) for stream in source.streams)  # a topic's messages may hold times, too
     for stream in source.streams:
-        if id(stream) in used and stream.clocks:
+        if id(stream) in used and stream.clocks and named and not (given and times_of(stream, given)):
+            if rate is not None:
+                problem = f"has times of its own, those of {stream.name}"
+                raise InputError(problem, file=source.name, remedy=f"leave out {argument('rate', rate)}")
             clocks.append((stream, topic_clock(stream, clock, source.name)))
         elif id(stream) in used:
             times = time_column(stream, stated, source.name, must=rate is None and not poses)

@@ -137,7 +137,10 @@ def _first_line(lines: list[str], source: str) -> tuple[int, str, bool]:
         return first, " ", True  # as numpy, and logs of Universal Robots' RTDE, have it
     if not counts[separator]:
         problem = f'line {first + 1} names one column, "{cut(lines[first].strip())}"'
-        raise InputError(problem, file=source, remedy="separate columns with commas, semicolons or tabs")
+        remedy = "separate columns with commas, semicolons or tabs"
+        if lines[first].rstrip().endswith(":"):
+            remedy = "record a bag in place of what `topic echo` of ROS prints"
+        raise InputError(problem, file=source, remedy=remedy)
     return first, separator, True
 
 

@@ -256,6 +256,26 @@ def test_custom_messages_are_read_by_the_definition_in_the_bag(known, tmp_path):
         np.testing.assert_array_equal(imported.experiment.motions[0].table.wrench, known.wrench)
 
 
+def test_times_that_a_message_holds_are_those_that_are_stated(known, tmp_path):
+    """A controller's own array with its time in it: the stated column was passed over, and the log's times taken."""
+    with Bag(tmp_path / "run", "mcap") as bag:
+        layout = bag.store.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+        late = np.random.default_rng(0).integers(0, 3_000_000, len(known.ns))
+        for k, ns in enumerate(START + known.ns + late):
+            data = np.array([*known.q[k], *known.tau[k], known.t[k]])
+            bag.write("/arm", "std_msgs/msg/Float64MultiArray", ns, layout=layout, data=data)
+    options = dict(joints=JOINTS, topics=["/arm"])
+    columns = {"t": "/arm/data[4]", "q": "/arm/data[0:2]", "tau": "/arm/data[2:4]"}
+    imported = bayesid.read_recording(tmp_path / "run", known.urdf, columns=columns, **options)
+    np.testing.assert_array_equal(imported.experiment.motions[0].table.times, known.t)
+    assert "/arm/data[4]" not in imported.recordings[0].recording.left_over
+    with pytest.raises(InputError, match=r'no column "/arm/data\[7\]"'):
+        bayesid.read_recording(tmp_path / "run", known.urdf, columns={**columns, "t": "/arm/data[7]"}, **options)
+    with pytest.raises(InputError, match="has times of its own, those of /arm; leave out rate"):
+        without = {"q": columns["q"], "tau": columns["tau"]}
+        bayesid.read_recording(tmp_path / "run", known.urdf, columns=without, rate=500.0, **options)
+
+
 def test_other_names_of_joints_are_stated(known, tmp_path):
     with Bag(tmp_path / "run", "mcap") as bag:
         for k, ns in enumerate(START + known.ns):
