@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 _O = TypeVar("_O", bound="DataclassInstance")
 #: Options of the command line that are not called as the argument is.
 _OPTIONS = {
-    "bounds": "method sdp --bounds", "certificate": "twins", "folder": "out", "low_pass": "filter-l", "quantities": "quantity",
-    "target": "next", "trajectories": "trajectory",
+    "bounds": "method sdp --bounds", "certificate": "twins", "folder": "out", "join_files": "join", "low_pass": "filter-l",
+    "quantities": "quantity", "target": "next", "trajectories": "trajectory",
 }  # fmt: skip
 #: Arguments that belong to a class of options, and how Python passes that.
 _GROUPS: dict[str, str] = {

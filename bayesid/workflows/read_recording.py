@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -152,10 +152,19 @@ def read_recording(
             if joint not in moving:
                 raise InputError(f"{argument(key)}: {joint} is no moving joint of {file.path.name}; {suggest(joint, moving)}")
     sliding = [joint for joint in moving if file.joints[joint].kind == "prismatic"]
-    made = [
-        (make_recording(one, stated, moving, joints, clock, kind == "poses", locked or {}, sliding, rate), files)
-        for one, files in [*given, *held_out]
-    ]
+
+    def make(one: Source) -> Recording:
+        return make_recording(one, stated, moving, joints, clock, kind == "poses", locked or {}, sliding, rate)
+
+    sources = [*given, *held_out]
+    try:
+        made = [(make(one), files) for one, files in sources]
+    except InputError as error:
+        if len(sources) > 1 and not join_files and _makes(make, joined_files([one for one, _ in sources], stated_times(stated))):
+            raise InputError(
+                f"{error}. Together the files are one recording: {argument('join_files', True)} reads them so"
+            ) from None
+        raise
     joints = _shared_joints([recording for recording, _ in made])
     notes: list[str] = []
     placed, place_notes = _sensor(sensor, [recording for recording, _ in made], file)
@@ -197,6 +206,14 @@ def read_recording(
         for label, (recording, files) in zip(names, made, strict=True)
     )
     return Imported(experiment, recordings, tuple(notes))
+
+
+def _makes(make: Callable[[Source], Recording], source: Source) -> bool:
+    """Whether a recording can be made of a source."""
+    try:
+        return bool(make(source).signals)
+    except InputError:
+        return False
 
 
 def _halves(motion: Motion, share: float) -> list[Motion]:

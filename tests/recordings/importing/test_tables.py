@@ -268,6 +268,8 @@ def test_files_of_a_quantity_each_are_joined(ending, known, tmp_path):
     files = [tmp_path / f"{name}{ending}" for name in ("t", "q", "qDot", "tau")]
     for path, values in zip(files, (known.t, known.q, known.v, known.tau), strict=True):
         matrix(path, values)
+    with pytest.raises(InputError, match="no positions .* Together the files are one recording: join_files=True reads them so"):
+        bayesid.read_recording(files, known.urdf, joints=JOINTS)
     table = bayesid.read_recording(files, known.urdf, joints=JOINTS, join_files=True).experiment.motions[0].table
     for name, values in (("times", known.t), ("positions", known.q), ("velocities", known.v), ("torques", known.tau)):
         np.testing.assert_allclose(getattr(table, name), values, rtol=0.0, atol=1e-15)
