@@ -12,13 +12,13 @@ from scipy.stats import multivariate_normal
 
 import bayesid
 from bayesid.cli import main
-from bayesid.diagnosis.changes.evidence import Marginal, Reduced, amplitudes, gain
+from bayesid.diagnosis.changes.evidence import Marginal, Reduced, amplitudes, expected_gain, gain
 from bayesid.diagnosis.changes.findings import ReferenceComparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis, SharedAmplitudes
 from bayesid.diagnosis.changes.proposals import make_proposals, with_proposals
 from bayesid.diagnosis.changes.recording import read_recording
 from bayesid.diagnosis.changes.reference import learn_reference
-from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
+from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES, WANDER_FACTORS
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.effects import EffectLibrary, Term
 from bayesid.effects.friction import CoulombFriction
@@ -64,6 +64,24 @@ def test_evidence_is_that_of_the_dense_gaussian(standing):
     with_it = _dense(rows, left, np.hstack([known, always]), mean, spread)
     without = _dense(rows, left, np.hstack([known, always]), mean, np.zeros((7, 0)))
     assert gain([marginal], change) == pytest.approx(with_it - without, abs=1e-8)
+
+
+def test_expected_evidence_is_the_mean_over_noise():
+    """Although a larger dispersion, or links further from the reference, may stand in for a small change."""
+    rng = np.random.default_rng(5)
+    rows = rng.normal(size=(300, 7))
+    rows[:, 6] += 2.0 * rows[:, 0]  # links could nearly do what the change does
+    known = 0.04 * np.eye(7)[:, :5]
+    change = Hypothesis("x", "y", (CoulombFriction("joint1", 0),), np.array([6]), np.array([1.0]))
+
+    def marginals(left):
+        return [Marginal(Reduced.of(rows, left), f * known, np.zeros(7), f, p) for f, p in WANDER_FACTORS.items()]
+
+    noise = rng.normal(size=(60, 300))
+    for amplitude in (0.2, 0.3, 0.5):
+        gains = [gain(marginals(rows[:, 6] * amplitude + e), change) for e in noise]
+        told = [expected_gain(marginals(e), change, np.array([0.1]))(10.0 * amplitude) for e in noise]
+        assert np.mean(told) == pytest.approx(np.mean(gains), abs=1.0) and np.mean(gains) > 3.0
 
 
 def test_posterior_is_that_of_bayes_rule():

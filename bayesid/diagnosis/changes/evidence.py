@@ -20,13 +20,12 @@ Z' V^-1 Z of a few columns comes from the singular vectors of B, so that a hypot
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.special import logsumexp
 
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
@@ -120,9 +119,9 @@ class Marginal:
         null = null + 0.5 * np.sum(along**2, axis=1) - np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
         return null, gram[:, :own, :own] - left @ seen[:, :, :own], vector[:, :own] - (left @ along[:, :, None])[:, :, 0]
 
-    def information(self, change: Hypothesis) -> np.ndarray:
-        """Precision to which the data show amplitudes of a change (k, k), at the best dispersion."""
-        return self._with_shared(change)[1][int(np.argmax(self._null))]
+    def information(self, change: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+        """Log density without a change (K,), and precision to which the data show its amplitudes (K, k, k), by dispersion."""
+        return self._with_shared(change)[:2]
 
     def curves(self, change: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
         """Log density by dispersion (K,) without a change, and with it by size of its prior, too (sizes, K).
@@ -148,8 +147,30 @@ def added_evidence(gram: np.ndarray, vector: np.ndarray, sizes: np.ndarray) -> n
 
 def gain(marginals: Iterable[Marginal], change: Hypothesis) -> float:
     """Log evidence of a change, its size unknown; with and without it, the best dispersion and the best of several tolerances."""
-    curves = [m.curves(change) for m in marginals]
-    with_it = max((logsumexp(c, axis=0) - np.log(len(SIZES))).max() for _, c in curves)
+    return _best_gain([m.curves(change) for m in marginals])
+
+
+def expected_gain(marginals: Iterable[Marginal], change: Hypothesis, amplitudes: np.ndarray) -> Callable[[float], float]:
+    """Log evidence that a change would have on average over noise, were its amplitudes (k,) these times a factor.
+
+    A change makes the data less probable without it, which a larger dispersion or a wider tolerance makes good in part.
+    """
+    parts = []
+    for null, gram in (m.information(change) for m in marginals):
+        seen = gram @ amplitudes
+        cost = added_evidence(gram, np.zeros_like(seen), change.sizes)
+        parts.append((null, 0.5 * seen @ amplitudes, cost, added_evidence(gram, seen, change.sizes) - cost))
+
+    def at(factor: float) -> float:
+        without = [null - factor**2 * lost for null, lost, _, _ in parts]
+        return _best_gain([(w, w + cost + factor**2 * won) for w, (_, _, cost, won) in zip(without, parts, strict=True)])
+
+    return at
+
+
+def _best_gain(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Log evidence by log densities as `Marginal.curves` gives them, the best dispersion and tolerance with and without."""
+    with_it = max(np.logaddexp.reduce(c, axis=0).max() for _, c in curves) - np.log(len(SIZES))
     return float(with_it - max(c.max() for c, _ in curves))
 
 

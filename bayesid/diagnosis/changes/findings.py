@@ -9,12 +9,12 @@ from typing import Literal
 
 import numpy as np
 
-from bayesid.diagnosis.changes.evidence import Amplitudes, Marginal, added_evidence, amplitudes
+from bayesid.diagnosis.changes.evidence import Amplitudes, Marginal, amplitudes, expected_gain
 from bayesid.diagnosis.changes.held_out import HeldOutErrors, Place, held_out_errors
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
 from bayesid.diagnosis.changes.recording import LaterRecording, chosen_bandwidth, read_recording
 from bayesid.diagnosis.changes.reference import Reference, learn_reference
-from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
+from bayesid.diagnosis.changes.scales import DISPERSIONS, WANDER_FACTORS
 from bayesid.diagnosis.changes.selection import Accepted, Scores, Selection, select
 from bayesid.diagnosis.fit import outside, squared_distance
 from bayesid.diagnosis.settings import DEFAULT, Settings
@@ -41,29 +41,23 @@ class HiddenChange:
 def smallest(selection: Selection, settings: Settings) -> tuple[HiddenChange, ...]:
     """Size that every change that was not found had to have; one for each kind and place.
 
-    A change of amplitudes x adds ``1/2 x'Z'V^-1 Z x`` to the density's exponent, less what the size of its prior costs.
+    That is where it has the log evidence that is asked for, on average over noise.
     """
-    marginal = selection.marginal()
+    marginals = [selection.marginal(factor=f) for f in WANDER_FACTORS]
     best: dict[str, HiddenChange] = {}
     for change in selection.every:
         if change.spec in {a.change.spec for a in selection.accepted} or change.far:  # a smaller mass is seen that far out
             continue
         needed = settings.accept + np.log(len(selection.forms[change.spec]))  # it is one of so many forms
-        found = HiddenChange(change, _smallest(marginal, change, needed))
+        found = HiddenChange(change, _smallest(marginals, change, needed))
         if change.spec not in best or found.value < best[change.spec].value:
             best[change.spec] = found
     return tuple(best.values())
 
 
-def _smallest(marginal: Marginal, change: Hypothesis, needed: float) -> float:
-    gram = marginal.information(change)
-    typical = change.sizes / change.sizes[0]
+def _smallest(marginals: Sequence[Marginal], change: Hypothesis, needed: float) -> float:
+    evidence = expected_gain(marginals, change, change.sizes / change.sizes[0])
     low, high = 1e-6 * change.sizes[0], 1e3 * change.sizes[0]
-
-    def evidence(value: float) -> float:
-        added = added_evidence(gram[None], (gram @ (value * typical))[None], change.sizes)
-        return float(np.logaddexp.reduce(added[:, 0]) - np.log(len(SIZES)))
-
     if evidence(high) < needed:
         return float("inf")
     while high > _PRECISION * low:
