@@ -21,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     own = arguments is None
     collecting = gc.isenabled()
-    interrupted = False
+    interrupted, then = False, "files of a run are written all or none"
 
     def stop(_number: int, _frame: FrameType | None) -> NoReturn:
         nonlocal interrupted
@@ -39,8 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from bayesid.cli.verbs import run
 
         status = run(list(sys.argv[1:] if arguments is None else arguments))
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stopped:
         interrupted = True
+        then = str(stopped) or then
         status = 1
     except Exception as error:  # an import that fails, or one that turned an interruption into an error of its own
         status = 1
@@ -51,7 +52,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # A process that is about to end must not be disturbed any more: Python would show where.
             signal.signal(number, signal.SIG_IGN if own else handler or signal.SIG_DFL)
     if interrupted and status == 1:
-        sys.stderr.write("bayesid: interrupted; files of a run are written all or none\n")
+        sys.stderr.write(f"bayesid: interrupted; {then}\n")
+        # An interruption that came within the text of an `exec` stays with Python as one that nobody caught: ``python -m`` would
+        # then end by the signal, and not with this status. Any other text makes it forget that.
+        exec("")
     if own:  # the process ends: to look for cyclic garbage once more would take a fifth of a second of any verb
         gc.freeze()
     elif collecting:  # a verb may have turned it off

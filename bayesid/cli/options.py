@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from bayesid.cli.terminal import say
-from bayesid.errors import EstimationError, InputError
+from bayesid.errors import InputError
 
 if TYPE_CHECKING:
     from bayesid.effects import EffectLibrary
@@ -69,7 +69,9 @@ class Run:
         try:
             yield kept
         except KeyboardInterrupt:
-            raise EstimationError(f"interrupted; add --resume to go on from {kept}" if kept.exists() else "interrupted") from None
+            if kept.exists():
+                raise KeyboardInterrupt(f"add --resume to go on from {kept}") from None
+            raise
         kept.unlink(missing_ok=True)
 
 

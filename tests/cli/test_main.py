@@ -37,7 +37,8 @@ def folder(tmp_path: Path) -> Path:
         (RecursionError(), 1, "failed on these data (RecursionError)"),
         (MemoryError("Unable to allocate 931 GiB"), 1, "out of memory (Unable to allocate 931 GiB); fit fewer motions"),
         (OSError(28, "No space left on device", "x.json"), 1, "x.json: No space left on device; make room"),
-        (KeyboardInterrupt(), 1, "interrupted"),
+        (KeyboardInterrupt(), 1, "interrupted; files of a run are written all or none"),
+        (KeyboardInterrupt("add --resume"), 1, "interrupted; add --resume"),
     ],
 )
 def test_every_failure_is_one_line(error, status, says, folder, monkeypatch, capsys):
@@ -48,6 +49,18 @@ def test_every_failure_is_one_line(error, status, says, folder, monkeypatch, cap
     assert main(["check", str(folder), "--out", str(folder.parent / "out")]) == status
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 1 and told[0].startswith("bayesid: ") and says in told[0]
+
+
+def test_an_interruption_in_the_text_of_an_exec_is_no_death_by_signal(tmp_path):
+    """Python remembers it as one that nobody caught, and ``python -m`` ended with 130 for 1."""
+    stop = "import sys\nimport bayesid.cli as cli\nfrom bayesid.cli import verbs\n"
+    stop += 'verbs.run = lambda _: exec("raise KeyboardInterrupt")\nsys.exit(cli.main())\n'
+    (tmp_path / "__main__.py").write_text(stop)
+    command = [sys.executable, "-m", tmp_path.name]
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=tmp_path.parent, env={**os.environ, "PYTHONPATH": str(ROOT)}
+    )
+    assert done.returncode == 1 and "interrupted" in done.stderr
 
 
 def test_the_package_runs_as_the_command():
