@@ -38,13 +38,10 @@ def central_interval(
     return ends if possible is None else (np.clip(ends[0], *possible), np.clip(ends[1], *possible))
 
 
-def with_ends(value: float, std: float, unit: str, wider: float = 1.0) -> dict[str, Any]:
-    """A value for JSON with its standard deviation, the ends of its 95 % interval, None where there is none, and its unit.
-
-    The interval is so many times as wide as a normal law's.
-    """
+def with_ends(value: float, std: float, unit: str) -> dict[str, Any]:
+    """A value for JSON with its standard deviation, the ends of its 95 % interval, None where there is none, and its unit."""
     known = float(std) if np.isfinite(std) and std > 0 else np.nan
-    low, high = central_interval(np.array(float(value)), np.array(wider * known))
+    low, high = central_interval(np.array(float(value)), np.array(known))
     return {"value": float(value), "std": _known(known), "low": _known(float(low)), "high": _known(float(high)), "unit": unit}
 
 

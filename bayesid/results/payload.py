@@ -50,7 +50,6 @@ class EffectBeside:
     values: Mapping[str, tuple[float, float, str]]  # value, standard deviation and unit of each parameter
     ambiguous_with: tuple[str, ...] = ()  # effects, ``name@where``, that explain the readings as well
     in_model: bool = True  # whether the payload's values are those beside it
-    wider: float = 1.0  # times as wide as a normal law's are its 95 % intervals, Student's where poses are few
 
     @property
     def spec(self) -> str:
@@ -59,20 +58,20 @@ class EffectBeside:
 
     def __str__(self) -> str:
         """The effect with its values, and what explains the readings as well."""
-        values = ", ".join(_value(k, *given, self.wider) for k, given in self.values.items())
+        values = ", ".join(_value(k, *given) for k, given in self.values.items())
         rivals = f", or {' or '.join(self.ambiguous_with)}: these recordings do not tell" if self.ambiguous_with else ""
         return f"{self.spec} ({values}){rivals}"
 
     def to_dict(self) -> dict[str, Any]:
         """An entry of ``effects``."""
         return {
-            "name": self.name, "where": self.where, "parameters": {k: with_ends(*v, self.wider) for k, v in self.values.items()},
+            "name": self.name, "where": self.where, "parameters": {k: with_ends(*v) for k, v in self.values.items()},
             "ambiguous_with": list(self.ambiguous_with), "in_model": self.in_model,
         }  # fmt: skip
 
 
-def _value(name: str, value: float, std: float, unit: str, wider: float) -> str:
-    text, half = with_half(value, wider * HALF * std)
+def _value(name: str, value: float, std: float, unit: str) -> str:
+    text, half = with_half(value, HALF * std)
     return f"{name} {text}{'' if half == DASH else f' ± {half}'} {unit_text(unit)}".rstrip()
 
 
@@ -296,7 +295,6 @@ class PayloadEstimate(ShownResult):
                 "names": list(PARAMETERS), "values": self.body.possible.mean.tolist(),
                 "covariance": self.body.covariance.tolist(),
                 "determined": self.body.shown.tolist(), "shown_by_no_motion": self.never_shown.tolist(),
-                "degrees_of_freedom": self.body.freedom,
             },
             "sensor_offset": {q.name: q.to_dict() for q in self.offset} or None,
             "centre_in_sensor": None if self.centre_in_sensor is None else self.centre_in_sensor.tolist(),

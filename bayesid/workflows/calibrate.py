@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import inf
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from bayesid.arguments import argument
-from bayesid.design.payload.body import BodyKnowledge, Quantity, half_interval
-from bayesid.design.payload.knowledge import degrees_of_freedom, from_sensor, weighed_alone
+from bayesid.design.payload.body import BodyKnowledge, Quantity
+from bayesid.design.payload.knowledge import from_sensor, weighed_alone
 from bayesid.diagnosis.settings import Settings
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
@@ -21,7 +20,7 @@ from bayesid.results.controllers import Load
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.identification import Identification
 from bayesid.results.payload import KINDS, Calibration, HiddenEffect
-from bayesid.rounding import number, percent
+from bayesid.rounding import HALF, number, percent
 from bayesid.workflows.explained import Explained, explain, offset_of
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.warnings import contradictions, impossible_signs, of_recordings
@@ -117,14 +116,14 @@ def calibrate(
         weighings.append(from_sensor(other.problem, other.estimate, body or 0))
     if mass is not None and weighings and all(w.shown[0] for w in weighings):
         weighed = weighings[0].mean[0] - sum(w.mean[0] for w in weighings[1:])
-        variance, half = sum(w.covariance[0, 0] for w in weighings), max(w.half for w in weighings)
-        if weighed + half * np.sqrt(variance) < 0.0:
+        variance = sum(w.covariance[0, 0] for w in weighings)
+        if weighed + HALF * np.sqrt(variance) < 0.0:
             raise InputError(
                 f"{argument('reference')}: the sensor carries {number(-weighed, 3)} kg more there than in {experiment.name}; "
                 "name the recording with the known mass first, and the one without it as reference"
             )
         std = float(np.sqrt(variance + (weighed / mass * mass_std) ** 2)) / mass
-        gain = Quantity.of("gain", "1", weighed / mass - 1.0, std, half)
+        gain = Quantity.of("gain", "1", weighed / mass - 1.0, std)
     clock("result")
     return Calibration(
         fit=best, sensor=sensor.joint or "base", found=_quantities(best),
@@ -142,16 +141,12 @@ def calibrate(
 
 
 def _quantities(fit: Identification) -> dict[str, tuple[Quantity, ...]]:
-    """Every effect of the model on the wrench with its parameters; of a few poses intervals are Student's, as the offset's."""
-    wider = half_interval(degrees_of_freedom(fit.problem, fit.estimate)) / half_interval(inf)
+    """Every effect of the model on the wrench with its parameters, and the offset."""
     out = {}
     for effect in fit.effects():
         spec = f"{effect['name']}@{effect['where']}"
         out[spec] = tuple(
-            Quantity(
-                name, p["unit"], p["value"], p["std"], p["value"] - wider * (p["value"] - p["low"]),
-                p["value"] + wider * (p["high"] - p["value"]), True,
-            )
+            Quantity(name, p["unit"], p["value"], p["std"], p["low"], p["high"], True)
             if p["std"] is not None and p["low"] is not None else Quantity.unknown(name, p["unit"])
             for name, p in effect["parameters"].items()
         )  # fmt: skip
@@ -204,7 +199,7 @@ def _sentences(known: BodyKnowledge | None, gain: Quantity | None, mass: float |
     if not known.mass.shown or mass is not None:  # nor does a reference that leaves its own open
         return ["These recordings do not show the mass that the sensor carries: turn it through more attitudes."]
     # Two weighings, each as sure as this one.
-    share = np.sqrt(2.0) * known.half * known.mass.std / _USUAL
+    share = np.sqrt(2.0) * HALF * known.mass.std / _USUAL
     return [
         "A gain that all force axes share cannot be told from another mass: state the mass that it carries "
         f"({argument('mass')}), or hang a known one on and name this recording as {argument('reference')}. "

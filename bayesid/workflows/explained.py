@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesid.design.payload.body import Quantity, half_interval
-from bayesid.design.payload.knowledge import degrees_of_freedom
+from bayesid.design.payload.body import Quantity
 from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Effect, Term
 from bayesid.errors import BayesidError
@@ -18,7 +17,6 @@ from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.fitted_model import fitted_model
 from bayesid.results.identification import Identification
 from bayesid.results.payload import EffectBeside
-from bayesid.rounding import HALF
 from bayesid.workflows.diagnose import diagnose
 from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import Clock
@@ -114,8 +112,8 @@ def offset_of(fit: Identification) -> tuple[Quantity, ...]:
     """Constant reading of the sensor, ``fx`` … ``mz``, with intervals (6,); empty without one."""
     if fit.offset is None:
         return ()
-    half, units = half_interval(degrees_of_freedom(fit.problem, fit.estimate)), ("N",) * 3 + ("N m",) * 3
-    return tuple(Quantity.of(*given, half) for given in zip(WRENCH_COLUMNS, units, *fit.offset, strict=True))
+    units = ("N",) * 3 + ("N m",) * 3
+    return tuple(Quantity.of(*given) for given in zip(WRENCH_COLUMNS, units, *fit.offset, strict=True))
 
 
 def _refit(found: Diagnosis, options: FitOptions, terms: Sequence[Term]) -> Identification | None:
@@ -135,7 +133,7 @@ def _as_fitted(effect: EffectBeside, fit: Identification) -> EffectBeside:
         if (found["name"], found["where"]) == (effect.name, effect.where):
             stds = {k: np.nan if p["std"] is None else p["std"] for k, p in found["parameters"].items()}
             values = {k: (p["value"], stds[k], p["unit"]) for k, p in found["parameters"].items()}
-            return replace(effect, values=values, wider=half_interval(degrees_of_freedom(fit.problem, fit.estimate)) / HALF)
+            return replace(effect, values=values)
     return effect
 
 

@@ -71,15 +71,14 @@ def test_inertia_about_the_centre_and_its_derivatives():
         np.testing.assert_allclose(slopes[:, k], difference, atol=1e-7)
 
 
-@pytest.mark.parametrize(("mass", "freedom"), [(2.0, np.inf), (0.06, np.inf), (2.0, 6.0)])
-def test_intervals_hold_as_often_as_they_say(mass, freedom):
-    """Mass and centre of mass of 4,000 draws, also where the mass is hardly known or the noise is from a few readings."""
+@pytest.mark.parametrize("mass", [2.0, 0.06])
+def test_intervals_hold_as_often_as_they_say(mass):
+    """Mass and centre of mass of 4,000 draws, also where the mass is hardly known."""
     rng = np.random.default_rng(4)
     true = BODY * mass / BODY[0]
     held, runs = np.zeros(4), 4000
     for _ in range(runs):
-        share = 1.0 if np.isinf(freedom) else rng.chisquare(freedom) / freedom
-        known = BodyKnowledge(true + SIZES * rng.normal(size=10), share * np.diag(SIZES**2), np.eye(10)[:, 4:], freedom)
+        known = BodyKnowledge(true + SIZES * rng.normal(size=10), np.diag(SIZES**2), np.eye(10)[:, 4:])
         held[0] += known.mass.low <= true[0] <= known.mass.high
         for k, q in enumerate(known.centre, 1):
             held[k] += not q.shown or q.low <= true[k] / true[0] <= q.high

@@ -24,12 +24,11 @@ from math import inf, isfinite
 
 import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
-from scipy.stats import t as student
 
 from bayesid.dynamics.kinematics import transform_matrix
 from bayesid.estimators.conic.problem import nearest_body
 from bayesid.robot import inertia
-from bayesid.rounding import HALF, LEVEL
+from bayesid.rounding import HALF
 
 #: Typical size of the ten parameters, by which directions are measured: a kilogram, a tenth of a metre.
 _SIZES = np.array([1.0, *(0.1,) * 3, *(0.01,) * 6])
@@ -65,11 +64,11 @@ class Quantity:
         return cls(name, unit, np.nan, np.nan, low, high, False)
 
     @classmethod
-    def of(cls, name: str, unit: str, value: float, std: float, half: float) -> Quantity:
-        """A number with its standard deviation, and half its interval in these; one that is not finite is not shown."""
+    def of(cls, name: str, unit: str, value: float, std: float) -> Quantity:
+        """A number with its standard deviation; one that is not finite is not shown."""
         if not isfinite(std):
             return cls.unknown(name, unit)
-        return cls(name, unit, float(value), float(std), float(value - half * std), float(value + half * std), True)
+        return cls(name, unit, float(value), float(std), float(value - HALF * std), float(value + HALF * std), True)
 
     def joined(self, others: tuple[Quantity, ...]) -> Quantity:
         """The same with an interval that holds those of other models, too, which the data cannot tell from its own."""
@@ -93,10 +92,9 @@ class BodyKnowledge:
     mean: np.ndarray
     covariance: np.ndarray
     hidden: np.ndarray = field(default_factory=lambda: np.zeros((10, 0)))  # directions of which nothing is known (10, k)
-    freedom: float = inf  # degrees of freedom that the noise was estimated from
 
     @classmethod
-    def of(cls, matrix: np.ndarray, values: np.ndarray, covariance: np.ndarray, freedom: float = inf) -> BodyKnowledge:
+    def of(cls, matrix: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> BodyKnowledge:
         """Knowledge from ``values = matrix @ p + e``, e ~ N(0, covariance), (r, 10) and (r,), by generalised least squares."""
         size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         # Where data determine only sums of parameters, a covariance is zero along what they leave open: no knowledge either.
@@ -111,7 +109,7 @@ class BodyKnowledge:
         seen, unseen = rows[:rank].T, rows[rank:].T
         q, r = np.linalg.qr(white @ seen)
         root = _SIZES[:, None] * (seen @ np.linalg.inv(r))
-        return cls(root @ (q.T @ target), root @ root.T, _SIZES[:, None] * unseen, freedom)
+        return cls(root @ (q.T @ target), root @ root.T, _SIZES[:, None] * unseen)
 
     def moved(self, rotation: np.ndarray, translation: np.ndarray) -> BodyKnowledge:
         """The same in another frame, in which this one sits at a rotation (3, 3) and translation (3,) [m]."""
@@ -127,14 +125,9 @@ class BodyKnowledge:
         return np.linalg.norm(basis, axis=1) < 1e-6
 
     @property
-    def half(self) -> float:
-        """Half a central 95 % interval in standard deviations."""
-        return half_interval(self.freedom)
-
-    @property
     def negative(self) -> bool:
         """Whether the mass comes out below zero for certain: readings are not what they are taken for."""
-        return bool(self.shown[0] and self.mean[0] + self.half * np.sqrt(self.covariance[0, 0]) < 0.0)
+        return bool(self.shown[0] and self.mean[0] + HALF * np.sqrt(self.covariance[0, 0]) < 0.0)
 
     @cached_property
     def possible(self) -> BodyKnowledge:
@@ -191,7 +184,7 @@ class BodyKnowledge:
         if not self.shown[0]:
             return Quantity.unknown("m", "kg", 0.0)
         m, std = float(self.mean[0]), float(np.sqrt(self.covariance[0, 0]))
-        low, high = max(m - self.half * std, 0.0), max(m + self.half * std, 0.0)
+        low, high = max(m - HALF * std, 0.0), max(m + HALF * std, 0.0)
         if low < _ROUNDED * high:
             low = 0.0
         return Quantity("m", "kg", max(m, 0.0), std, low, high, low > 0.0)
@@ -201,8 +194,7 @@ class BodyKnowledge:
         """Mass times centre of mass [kg m]: readings may show it where they show neither alone (3,)."""
         stds = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))  # what is not shown has none but for rounding
         return tuple(
-            Quantity.of(inertia.PARAMETERS[k], "kg m", self.mean[k], stds[k] if self.shown[k] else inf, self.half)
-            for k in (1, 2, 3)
+            Quantity.of(inertia.PARAMETERS[k], "kg m", self.mean[k], stds[k] if self.shown[k] else inf) for k in (1, 2, 3)
         )
 
     @cached_property
@@ -212,7 +204,7 @@ class BodyKnowledge:
         return x, y, z
 
     def _ratio(self, name: str, k: int) -> Quantity:
-        v, m, h, t = self.covariance, self.mean[0], self.mean[k], self.half
+        v, m, h, t = self.covariance, self.mean[0], self.mean[k], HALF
         if not (self.mass.shown and self.shown[k]):
             return Quantity.unknown(name, "m")
         c = h / m
@@ -229,7 +221,7 @@ class BodyKnowledge:
             return tuple(Quantity.unknown(n, "kg m^2", 0.0 if n in _MOMENTS else -inf) for n in names)
         values, slopes = about_centre(self.mean)
         stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, self.covariance, slopes), 0.0))
-        low, high = values - self.half * stds, values + self.half * stds
+        low, high = values - HALF * stds, values + HALF * stds
         visible = {n: bool(lo > 0.0) for n, lo in zip(names, low, strict=True) if n in _MOMENTS}
         out = []
         for n, value, std, lo, hi in zip(names, values, stds, low, high, strict=True):
@@ -247,11 +239,6 @@ def _cut_normal(low: np.ndarray, high: np.ndarray, share: np.ndarray) -> np.ndar
     share, last = np.where(flipped, 1.0 - share, share), log_ndtr(b)
     found = np.clip(ndtri_exp(last + np.log(share + (1.0 - share) * np.exp(log_ndtr(a) - last))), a, b)
     return np.where(flipped, -found, found)
-
-
-def half_interval(freedom: float) -> float:
-    """Half a central 95 % interval in standard deviations that are known from so many degrees of freedom."""
-    return float(student.ppf(0.5 + LEVEL / 2, freedom)) if isfinite(freedom) else HALF
 
 
 def about_centre(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

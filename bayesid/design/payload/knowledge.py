@@ -3,10 +3,6 @@
 **A sensor** in the wrist weighs what is beyond it and nothing else: the base parameters of its wrench are combinations of that
 one body's ten parameters, ``b = K p``.
 
-Of a few poses the noise of each channel is known from few numbers. Intervals are Student's then, and as the channels share what
-they weigh by estimated weights, the covariance is larger by ``1 + 4 (1 - 1/k) / nu`` with k = 3 channels of nu degrees of
-freedom each [Meier1953]_.
-
 A cable without length may trade weight for its own. It pulls a point p of the payload with ``k (a - x)``. Its share ``k a_z`` is
 a constant force along gravity, as weight is: a mass that is larger by d with a first moment larger by ``d p``, and an anchor that
 is higher by ``d g / k``, read the same in every pose. Only the cable's length tells them apart, and that by little. The sum of
@@ -15,10 +11,10 @@ the mass is held at values m on both sides, all else is fitted, and those of
 
     chi2(m) - min chi2 <= t^2 f
 
-are what the readings do not contradict [Venzon1988]_: t is half a central interval in standard deviations, f the ratio of the
-estimate's variances to those of white noise. All other parameters follow the mass along the valley, and scatter about it as
-they do with the mass known: ``theta = theta(m) + e``, ``V = V_m + s^2 v v'``, v the valley's direction, s the mass's
-interval over 2 t.
+are what the readings do not contradict [Venzon1988]_: t is half a central interval in standard deviations, f the variance of what
+is left, enlarged as Student's quantile for few poses asks (`bayesid.signals.noise.student_factor`). All other parameters follow
+the mass along the valley, and scatter about it as they do with the mass known: ``theta = theta(m) + e``, ``V = V_m + s^2 v v'``,
+v the valley's direction, s the mass's interval over 2 t.
 
 **A nominal model** with links ``phi_0`` and errors of covariance P. What is attached to link n adds to its parameters:
 ``b - K phi_0 = K_n p + K (phi - phi_0)``, so that p is known with the covariance ``V + K P K'``.
@@ -36,7 +32,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bayesid.arguments import argument
-from bayesid.design.payload.body import BodyKnowledge, half_interval
+from bayesid.design.payload.body import BodyKnowledge
 from bayesid.diagnosis.changes.evidence import amplitudes
 from bayesid.diagnosis.changes.findings import ReferenceComparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
@@ -50,13 +46,13 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.regression.problem import Problem, absorbed_offset, relinearised
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot, joint_index, load_robot
+from bayesid.rounding import HALF
+from bayesid.signals.noise import student_factor
 
 #: Ends of the names of URDF links that are a flange, in whose frame controllers want a payload, the most certain first.
 FLANGES = ("tool0", "_link8", "flange")
 #: Share of the prior's variance that recordings leave where they say nothing.
 _LEFT = 0.5
-#: What estimated weights of three channels add to the variance, times the degrees of freedom of each.
-_WEIGHTS = 4.0 * (1.0 - 1.0 / 3.0)
 
 
 def carrying_joint(robot: Robot, joint: str | None) -> int:
@@ -96,13 +92,10 @@ def from_sensor(problem: Problem, estimate: Estimate, body: int) -> BodyKnowledg
     shown = ~estimate.undetermined[: base.rank]
     matrix = base.matrix[:, 10 * body : 10 * body + 10][shown]
     known = estimate.stated_covariance()[: base.rank, : base.rank]
-    freedom = degrees_of_freedom(problem, estimate)
-    weights = estimated_weights(freedom)
     if has_valley(problem):
         own = base.matrix[:, 10 * body : 10 * body + 10]
-        values, covariance = along_mass(problem, estimate, np.linalg.pinv(own)[0], half_interval(freedom), weights)
-        return BodyKnowledge.of(own, values, covariance, freedom)
-    return BodyKnowledge.of(matrix, estimate.values[shown], weights * known[np.ix_(shown, shown)], freedom)
+        return BodyKnowledge.of(own, *along_mass(problem, estimate, np.linalg.pinv(own)[0]))
+    return BodyKnowledge.of(matrix, estimate.values[shown], known[np.ix_(shown, shown)])
 
 
 def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float) -> tuple[BodyKnowledge, float]:
@@ -201,19 +194,6 @@ def in_frame(known: BodyKnowledge, experiment: Experiment, body: int, frame: str
 
 def _is_payload(change: Hypothesis, where: str) -> bool:
     return change.name == Payload.name and change.where == where
-
-
-def degrees_of_freedom(problem: Problem, estimate: Estimate) -> float:
-    """Degrees of freedom of a channel's noise, where a few poses are all that it is known from."""
-    if not problem.at_rest:
-        return inf
-    channels = len(problem.row_model.channels.names)
-    return max((estimate.rows - len(estimate.solution)) / channels, 1.0)
-
-
-def estimated_weights(freedom: float) -> float:
-    """Factor on variances where channels are weighted by noise that is known from so many degrees of freedom each."""
-    return 1.0 + _WEIGHTS / freedom
 
 
 #: First step along the mass as a share of it, at least and at most; how each next one grows; most steps each way.
@@ -333,27 +313,25 @@ def has_valley(problem: Problem) -> bool:
     return any(isinstance(e, LoadEffect) and len(e.shape) > 1 for e in problem.row_model.effects) and bool(point.free.all())
 
 
-def along_mass(
-    problem: Problem, estimate: Estimate, slope: np.ndarray, half: float, factor: float
-) -> tuple[np.ndarray, np.ndarray]:
+def along_mass(problem: Problem, estimate: Estimate, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Base parameters (r,) and covariance (r, r) by which the mass's interval is where the readings do not contradict it.
 
-    ``slope`` gives the mass from the base parameters (r,), ``half`` is half a central interval in standard deviations, and
-    ``factor`` variances over those of white noise of the estimate's size.
+    ``slope`` gives the mass from the base parameters (r,).
     """
     rank = len(slope)
     held = HeldCombination(problem, estimate, np.concatenate([slope, np.zeros(len(estimate.solution) - rank)]))
     known = [held.free()]
     for _ in range(_ROUNDS):  # from the lowest point so far, until none is lower
         first = min(known, key=lambda p: p.chi2)
-        known = [first, *_outwards(held, first, -1.0, half), *_outwards(held, first, 1.0, half)]
+        known = [first, *_outwards(held, first, -1.0), *_outwards(held, first, 1.0)]
         if min(known, key=lambda p: p.chi2).chi2 > first.chi2 - _LOWER:
             break
     known.sort(key=lambda p: p.mass)
     best = min(known, key=lambda p: p.chi2)
     # Noise that was estimated in another valley is another one.
-    factor *= best.chi2 / max(len(held.rows(best.at)[0]) - len(best.at), 1)
-    level = half**2 * factor
+    size = best.chi2 / max(len(held.rows(best.at)[0]) - len(best.at), 1)
+    factor = size * max(float(student_factor(noise.degrees)) for noise in estimate.noise.values())
+    level = HALF**2 * factor
     within = [k for k, p in enumerate(known) if p.chi2 <= best.chi2 + level]
     low, high = (
         _crossing(held, known[k], known[k + way] if 0 <= k + way < len(known) else None, best.chi2, level)
@@ -362,11 +340,11 @@ def along_mass(
     width = max(high.mass - low.mass, 1e-12)
     along = (high.at - low.at)[:rank] / width
     middle = 0.5 * (low.mass + high.mass)
-    covariance = factor * held.covariance(best.at)[:rank, :rank] + (0.5 * width / half) ** 2 * np.outer(along, along)
+    covariance = factor * held.covariance(best.at)[:rank, :rank] + (0.5 * width / HALF) ** 2 * np.outer(along, along)
     return best.at[:rank] + along * (middle - best.mass), covariance
 
 
-def _outwards(held: HeldCombination, first: ProfilePoint, way: float, half: float) -> list[ProfilePoint]:
+def _outwards(held: HeldCombination, first: ProfilePoint, way: float) -> list[ProfilePoint]:
     """Points of the profile one way from the first, until the sum of squares is well above the level."""
     known, now, size = [first], first, max(abs(first.mass), 0.01)
     step = float(np.clip(0.5 * np.sqrt(held.variance(first.at)), _FIRST[0] * size, _FIRST[1] * size))
@@ -377,7 +355,7 @@ def _outwards(held: HeldCombination, first: ProfilePoint, way: float, half: floa
         now = held.least(mass, now.at)
         known.append(now)
         step *= _GROWTH
-        if now.chi2 > min(p.chi2 for p in known) + half**2 + _ABOVE:
+        if now.chi2 > min(p.chi2 for p in known) + HALF**2 + _ABOVE:
             break
     return known[1:]
 

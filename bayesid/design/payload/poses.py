@@ -5,8 +5,8 @@ With Sigma the covariance of all that was estimated and rows X of a pose in unit
     (Sigma^-1 + X' X)^-1 = Sigma - Sigma X' (1 + X Sigma X')^-1 X Sigma.
 
 Poses are added one by one, each the one that makes the sum of the variances of mass and centre of mass, in units of the squares
-of what is wanted of them, smallest [Fedorov1972]_. Few poses make channels look quieter than they are by chance, and the next are
-chosen by those, so what is expected of them counts the noise's uncertainty twice: as it is now and as it will be.
+of what is wanted of them, smallest [Fedorov1972]_. The more poses, the better the noise is known, too, which few leave open
+(`bayesid.signals.noise.student_factor`).
 
 Poses to choose from are within the joints' limits, and keep the robot's bodies apart where its URDF says what shape they have.
 The tool, its cable and the surroundings, which it does not hold, are not looked at.
@@ -21,12 +21,12 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.design.excitation.collision import clearance
 from bayesid.design.payload.body import BodyKnowledge
-from bayesid.design.payload.knowledge import degrees_of_freedom, estimated_weights
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.regression.problem import Problem
 from bayesid.regression.segment import Segment
 from bayesid.robot.robot import motion_limits
+from bayesid.signals.noise import student_factor
 
 #: Poses to choose from, and the most that are proposed.
 _CANDIDATES, _MOST = 200, 100
@@ -80,15 +80,14 @@ def next_poses(problem: Problem, estimate: Estimate, body: int, wanted: tuple[fl
     rows = model.samples(Segment(np.arange(float(len(q))), q, read, read[0], 0, poses=True), 0, len(q))[:, :, :-1]
     noise = estimate.noise.get("poses") or next(iter(estimate.noise.values()))
     rows = rows / noise.std[:, None]
-    covariance, freedom = _open(estimate), degrees_of_freedom(problem, estimate)
+    covariance = _open(estimate)
     own = estimate.base.matrix[:, 10 * body : 10 * body + 10]
     slopes = _slopes(own, estimate.values, wanted)
     taken: list[int] = []
 
     def expected() -> tuple[float, float]:
-        later = freedom + len(taken)
-        noise = estimated_weights(later) * (estimated_weights(freedom) if taken else 1.0)
-        known = BodyKnowledge.of(own, estimate.values, noise * covariance[:rank, :rank], later)
+        surer = float(student_factor(noise.degrees + len(taken)) / student_factor(noise.degrees))
+        known = BodyKnowledge.of(own, estimate.values, surer * covariance[:rank, :rank])
         centre = max(0.5 * (c.high - c.low) if c.shown else np.inf for c in known.centre)
         return (0.5 * (known.mass.high - known.mass.low) if known.mass.shown else np.inf), centre
 
