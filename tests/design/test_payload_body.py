@@ -44,7 +44,6 @@ def test_what_no_combination_holds_is_not_shown():
 
 def test_a_mass_whose_interval_begins_at_zero_but_for_rounding_is_not_shown():
     """It was shown as 0.094 +- 0.094 kg, with a centre of mass that had no interval."""
-    known = BodyKnowledge(BODY, np.diag(SIZES**2))
     for std in BODY[0] / HALF * (1.0 + np.array([-1e-15, -1e-12, 0.0, 1e-15])):
         body = BodyKnowledge(BODY, np.diag(np.array([std, *SIZES[1:]]) ** 2))
         assert not body.mass.shown and body.mass.low == 0.0 and not any(q.shown for q in (*body.centre, *body.inertia))
