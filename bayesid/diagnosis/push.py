@@ -319,9 +319,9 @@ def _scanned(moments: _Moments) -> tuple[int, slice] | None:
         edges = np.arange(moments.edges[k] + clear[0], moments.edges[k] + clear[-1] + 1, size)
         blocks = [_gram(rows[a:b]) for a, b in pairwise(edges)]
         summed = np.cumsum([np.zeros_like(total), *blocks], axis=0)
-        longest = moments.data.settings.most * len(times) / size
-        for n in sorted({round(2 * _LONGER**x) for x in range(40) if 2 * _LONGER**x <= longest}):
-            at = np.arange(1, len(edges) - 1 - n, max(n // 4, 1))
+        longest = int(moments.data.settings.most * len(times) / size)
+        for n in sorted({round(min(2 * _LONGER**x, longest)) for x in range(40) if longest >= 2}):
+            at = np.arange(1, len(edges) - 1 - n, max(n // 16, 1))
             if not len(at):
                 continue
             left = np.array([_left(total - (summed[a + n] - summed[a])) for a in at])

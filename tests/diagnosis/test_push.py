@@ -86,6 +86,16 @@ def test_a_hand_is_found_with_its_link_its_times_its_force_and_its_point(recorde
     np.testing.assert_allclose(push.values[2:5], push.force.mean(axis=0))
 
 
+@pytest.mark.parametrize(("start", "end"), [(1.2, 8.1), (1.7, 8.7), (1.5, 8.8)])
+def test_a_push_of_most_of_the_motion_is_not_taken_for_one_the_other_way_in_the_rest(recorded, monkeypatch, start, end):
+    """Beside an offset of its own motion, all but its wavering is a constant force in the time without it."""
+    monkeypatch.setattr(f"{__name__}.START", start)
+    monkeypatch.setattr(f"{__name__}.END", end)
+    _, push = sought(recorded(pushed))
+    assert push is not None and push.effect.spec == "external_contact@joint2"
+    assert push.values[:2] == pytest.approx((start, end), abs=0.2)
+
+
 def test_its_time_has_no_weight_for_the_rest(recorded):
     """What is left is as if nothing had pushed."""
     data, push = sought(recorded(pushed))
