@@ -14,8 +14,10 @@ from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import MotionSegment, Term, middle_of, starting_point
 from bayesid.errors import InputError
+from bayesid.recordings.complaints import columns_of
+from bayesid.recordings.examination import dead_channels
 from bayesid.recordings.experiment import Experiment, Motion, motions_named
-from bayesid.recordings.table import usual_step
+from bayesid.recordings.table import WRENCH_COLUMNS, usual_step
 from bayesid.regression.readings import default_channel, has_readings, make_channels, readings_of
 from bayesid.robot.prior import Prior
 from bayesid.signals.resampling import resample_evenly, uneven
@@ -77,6 +79,13 @@ def prepare_data(
         raise InputError(
             f"no motion with readings for {argument('channel', channel)} can be fitted; add one with role identification"
         )
+    for motion in chosen:
+        dead = {name: value for name, value in dead_channels(motion.table).items() if name in WRENCH_COLUMNS}
+        if dead and channel != "torque":
+            raise InputError(
+                f"{motion.table.source}: {columns_of(list(dead))}: {next(iter(dead.values())):g} in every row; a reading without "
+                "noise is none, and what is missing cannot be looked for beside it: record all six axes"
+            )
     unseen = [m for m in usable if m.role == "validation" and m.name not in names]
     if at_rest:
         each, bandwidth = [np.inf] * len([*chosen, *unseen]), np.inf

@@ -74,8 +74,15 @@ def check_channels(table: Table) -> list[str]:
             f"{table.source}: columns {', '.join(unsigned)}: never negative, as if they were magnitudes; a moving robot's "
             "torques have both signs: export them with their signs"
         )
-    dead = [(name, values[0]) for name, values in table.channels() if len(table) > 1 and np.ptp(values) == 0.0]
-    return [f"{table.source}: column {name}: {value:g} in every row; that channel looks dead, check it" for name, value in dead]
+    return [
+        f"{table.source}: column {name}: {value:g} in every row; that channel looks dead, check it"
+        for name, value in dead_channels(table).items()
+    ]
+
+
+def dead_channels(table: Table) -> dict[str, float]:
+    """Readings that are the same in every row, by their columns."""
+    return {name: float(values[0]) for name, values in table.channels() if len(table) > 1 and np.ptp(values) == 0.0}
 
 
 def _without_sign(table: Table) -> list[str]:

@@ -66,9 +66,6 @@ def explain(
         advice = _POSES if still else found.next_experiment
         notes = (f"Something in the readings stays unexplained: the intervals do not count it. {advice}",)
 
-    if found.verdict != "nothing_missing":
-        notes = (*_mistakes(experiment, found), *notes)
-
     def known(effect: Effect) -> bool:  # or estimated anyway
         return part_of_it(effect) or not {effect.spec, effect.name}.isdisjoint(first.problem.effects)
 
@@ -93,19 +90,6 @@ def explain(
                 others = [rival if t is f.term else t for t in terms]
                 rivals.append(_refit(found, options, [t for t in others if not known(t.effect)]))
     return Explained(first, best, tuple(r for r in rivals if r is not None), effects, found, notes)
-
-
-def _mistakes(experiment: Experiment, found: Diagnosis) -> list[str]:
-    """Mistakes of signs, orders and frames in the data, which a diagnosis takes for what comes nearest.
-
-    Not what it names as an effect, nor units: the nominal values of what is carried are mostly placeholders.
-    """
-    from bayesid.validation.mistakes.search import find_mistakes
-
-    named = {f.term.effect.name for f in found.found} | {"not_explained", "wrench_units", "torque_units"}
-    named |= {"wrench_delay"} if "sensor_delay" in named else set()
-    wrong = [mistake.text for mistake in find_mistakes(experiment) if mistake.name not in named]
-    return [f"{text}. Undo that first: the values here are of data with a mistake." for text in wrong]
 
 
 def offset_of(fit: Identification) -> tuple[Quantity, ...]:

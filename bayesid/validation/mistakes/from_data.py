@@ -213,6 +213,7 @@ _KNOWN_FORCE = {1.0 / 9.80665: "kgf and kgf m instead of N and N m", 1e-3: "kN a
 _NEAR = 2.5  # factor within which a unit is recognised
 #: Links of one stated model are right to this factor beside each other; torques further apart have no unit in common.
 _ALIKE = 1.5
+_ROUNDED = 1e-8  # times what bodies need is nothing but rounding, as of a sensor without moments
 _ABSURD = 1e4  # times as large as another is no torque in any unit
 _ROUNDS = 2  # of fitting bodies to readings of these sizes, and sizes to those of the bodies
 
@@ -255,7 +256,7 @@ def implausible_size(explainer: Explainer, change: Change = AS_RECORDED) -> list
     stated, usual = explainer.bodies, usual_bodies(explainer.robot)
     guessed, factor = explainer.size_beside(usual, change), explainer.size_beside(stated, change)
     allowed = _NOMINAL if explainer.has_masses else _GUESSED
-    if guessed is None or factor is None or 1.0 / allowed < factor < allowed:
+    if guessed is None or factor is None or 1.0 / allowed < factor < allowed or factor < _ROUNDED:
         return []
     if np.sign(np.log(guessed)) != np.sign(np.log(factor)) or abs(np.log(guessed)) < np.log(_NOMINAL):
         return []
