@@ -135,6 +135,7 @@ def calibrate(
         warnings=of_recordings(
             experiment,
             [*impossible_signs(best.estimate, best.problem), *found.warnings, *contradictions(found.first.agreements)],
+            [e.name for e in found.effects],
         ),
         seconds=clock.stop(),
     )  # fmt: skip

@@ -190,7 +190,7 @@ def diagnose(
         if diagnosis.part is not None and stands_alone(diagnosis.description):
             other = concluded(imitate=True)
             diagnosis = other if stands_alone(other.description) else diagnosis
-    said = of_recordings(experiment, diagnosis.remarks)
+    said = of_recordings(experiment, diagnosis.remarks, [f.term.effect.name for f in diagnosis.found])
     return replace(diagnosis, remarks=said, seconds=time.perf_counter() - since)
 
 

@@ -217,7 +217,7 @@ def payload(
         world=urdf.root_link,
         gravity=experiment.robot.gravity, evidence=found.evidence, nominal_share=found.share, more=found.more,
         sentences=found.sentences,
-        warnings=of_recordings(experiment, found.warnings), seconds=clock.stop(),
+        warnings=of_recordings(experiment, found.warnings, [e.name for e in found.effects]), seconds=clock.stop(),
     )  # fmt: skip
     return replace(result, sentences=(*_not_shown(result), *result.sentences))
 

@@ -46,14 +46,20 @@ def of_fit(
     return out
 
 
-def of_recordings(experiment: Experiment, notes: Iterable[str]) -> tuple[str, ...]:
+def of_recordings(experiment: Experiment, notes: Iterable[str], named: Iterable[str] = ()) -> tuple[str, ...]:
     """What a verb has to say, after what is certainly wrong with the recordings, or most likely, and before what is doubtful.
 
     For verbs that show no fit as `bayesid.identify` does: nothing that they find holds of readings with another sign or unit.
+    ``named`` are the effects that they found: what these explain is no mistake as well, nor is what nothing explains.
     """
     from bayesid.validation.mistakes.search import find_mistakes
 
-    return experiment.with_findings([*(m.text for m in find_mistakes(experiment)), *notes], validated=False)
+    explained = {*named, "not_explained"}
+    explained |= {"wrench_delay"} if "sensor_delay" in explained else set()
+    wrong = [m.text for m in find_mistakes(experiment) if m.name not in explained]
+    if wrong:
+        wrong[-1] += ". Undo that first: the values here are of data with a mistake."
+    return experiment.with_findings([*wrong, *notes], validated=False)
 
 
 def unseen_effects(problem: Problem) -> list[str]:
