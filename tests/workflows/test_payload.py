@@ -277,6 +277,12 @@ def test_a_mistake_in_the_data_is_named_before_what_it_is_taken_for(wrist):
         assert sum("Gravity seems" in text for text in result.warnings) == 1
 
 
+def test_an_effect_that_is_named_is_no_mistake_as_well(wrist):
+    tilt = {**OFFSET, "base_tilt@base": {"x": 0.08, "y": -0.06}}
+    result = bayesid.payload(bayesid.simulate(wrist, poses(wrist.robot, 40), effects=tilt, recorder=NOISE, seed=5))
+    assert "base_tilt@base" in [e.spec for e in result.effects] and not any("Undo" in text for text in result.warnings)
+
+
 @pytest.mark.parametrize("stated", [True, False], ids=["noise stated", "noise not known"])
 def test_a_dead_axis_of_the_sensor_leaves_the_mass_of_the_others(stated, wrist):
     """A moment that is zero in every row: nothing was shown, or where no noise was stated a factorization failed."""
