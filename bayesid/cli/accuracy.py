@@ -20,7 +20,7 @@ from bayesid.workflows.accuracy import add_certificate, check_estimate
 @click.option("--runs", type=int, default=20, show_default=True, help="Simulated recordings of every level; 0: vary nothing.")
 @click.option("--nominal", is_flag=True, help="Take the nominal links for the true ones, not the estimated.")
 @click.option("--certificate", is_flag=True, help="Count how often the intervals hold the truth, on simulated twins.")
-@click.option("--twins", type=int, default=400, show_default=True, help="Twins of the certificate.")
+@click.option("--twins", type=int, help="Twins of the certificate.  [default: 400]")
 @click.option("--estimate", type=shared.FILE, help="An estimate.json to write the certificate into, with its report.")
 @click.option("--sensors", type=shared.FILE, help="A sensors.toml of candidates to compare before buying one.")
 @click.option("--resume", is_flag=True, help="Go on with the twins of an interrupted run of the same --out.")
@@ -31,8 +31,10 @@ def accuracy(
     experiment, filter_l, filter_d, model, effects_from, method, bounds, certificate, twins, estimate, out, resume, **options
 ) -> None:
     """What the errors depend on, what effects left out of the model do, and whether the intervals hold the truth."""
-    if (resume or estimate) and not certificate:
-        raise InputError(f"--{'resume' if resume else 'estimate'} is for --certificate; add that, or leave it out")
+    given = {"resume": resume, "estimate": estimate, "twins": twins is not None}
+    if not certificate and (unused := [name for name, said in given.items() if said]):
+        raise InputError(f"--{unused[0]} is for --certificate; add that, or leave it out")
+    counted = (400 if twins is None else twins) if certificate else 0
     with shared.running("accuracy", out) as run:
         filters, chosen = shared.low_pass(filter_l, filter_d), None if method is None else bayesid.estimator(method)
         loaded = shared.load(experiment, model, effects_from)
@@ -42,7 +44,7 @@ def accuracy(
         chosen = shared.bounded(chosen, bounds, loaded)
         with run.resumable(loaded.name) as kept:
             result = bayesid.accuracy(
-                loaded, method=chosen, low_pass=filters, certificate=twins if certificate else 0, kept=kept, resume=resume,
+                loaded, method=chosen, low_pass=filters, certificate=counted, kept=kept, resume=resume,
                 progress=run.progress, **options,
             )  # fmt: skip
             report = run.write(result, loaded.name)

@@ -16,6 +16,7 @@ from bayesid.dynamics.base_parameters import BaseParameters, regroup
 from bayesid.errors import InputError
 from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
 from bayesid.regression.row_cache import RowCache
+from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
 from bayesid.signals.filters import LowPass
 
@@ -194,7 +195,7 @@ class Regression:
         return cls(
             base, (), (), channel, ("",) * channels, tuple(str(k) for k in labels),
             RowCache(partial(iter, tuple(blocks)), samples, channels * (len(base.names) + 1), known_poles=poles),
-            PriorKnowledge(bodies=tuple(tuple(b) for b in bodies)),
+            PriorKnowledge(bodies=checked_bodies(bodies, p)),
             instruments=None if beside is None else _GivenInstruments(blocks, beside[:, :, kept], noise).instruments(),
             regressor_noise=noise,
             noise_std=known,
@@ -252,7 +253,23 @@ def _names_of(given: Sequence[str] | None, count: int, letter: str, argument: st
         return tuple(f"{letter}{k + 1}" for k in range(count))
     if len(given) != count:
         raise InputError(f"{argument} has {len(given)} names for {count} columns")
-    return tuple(given)
+    given = tuple(given)
+    again = [name for k, name in enumerate(given) if name in given[:k]]
+    if again and argument != "parameter_units":
+        raise InputError(f"{argument}: {again[0]!r} is there twice; give each its own name")
+    return given
+
+
+def checked_bodies(bodies: Sequence[Sequence[int]], count: int) -> tuple[tuple[int, ...], ...]:
+    """Ten of so many columns a body, none of them twice; an `InputError` where they are others."""
+    used: set[int] = set()
+    for k, body in enumerate(bodies):
+        if len(body) != 10 or not all(isinstance(c, (int, np.integer)) and 0 <= c < count for c in body):
+            raise InputError(f"bodies[{k}] = {list(body)}: give ten columns in the order {', '.join(inertia.PARAMETERS)}")
+        if len(used | {*body}) < len(used) + 10:
+            raise InputError(f"bodies[{k}] = {list(body)}: a column is there twice; each is one parameter of one body")
+        used |= {*body}
+    return tuple(tuple(int(c) for c in body) for body in bodies)
 
 
 def _base_of(matrix: np.ndarray, names: tuple[str, ...], units: tuple[str, ...]) -> BaseParameters:

@@ -101,6 +101,7 @@ def test_the_certificate_goes_into_an_estimate_that_is_there(folder, tmp_path, c
         (["--certificate", "--twins", "7"], "--twins 7: give at least 20"),
         (["--certificate", "--method", "ridge"], "method ridge prints no intervals"),
         (["--resume"], "--resume is for --certificate"),
+        (["--twins", "50"], "--twins is for --certificate"),
         (["--estimate", "x"], "--estimate is for --certificate"),
         (["--certificate", "--estimate", "nowhere.json"], "cannot be read as JSON"),
         (["--sensors", "nowhere.toml"], "no such file"),

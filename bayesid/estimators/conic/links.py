@@ -24,7 +24,7 @@ from bayesid.errors import InputError
 from bayesid.estimators.conic.problem import Conic, Linear, Solution, solve_conic
 from bayesid.estimators.prior_check import Evidence, PriorCheck, compared
 from bayesid.regression.linalg import column_lengths, undetermined
-from bayesid.regression.regression import Regression
+from bayesid.regression.regression import Regression, checked_bodies
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
 
@@ -50,13 +50,11 @@ class LinkData:
         bodies = regression.knowledge.bodies or (prior.bodies if prior is not None else ())
         if not bodies:
             raise InputError("sdp needs to know which columns are a body's ten parameters; give bodies=")
-        for k, body in enumerate(bodies):
-            if len(body) != 10 or not all(0 <= c < len(base.parameter_names) for c in body):
-                raise InputError(f"bodies[{k}] = {list(body)}: give ten columns in the order {', '.join(inertia.PARAMETERS)}")
+        bodies = checked_bodies(bodies, len(base.parameter_names))
         names = [base.parameter_names[body[0]].rsplit(".", 1) for body in bodies]
         labels = tuple(n[0] if len(n) == 2 and n[1] == "m" else f"body{k + 1}" for k, n in enumerate(names))
         whole = np.concatenate([matrix[:, :r] @ base.matrix, matrix[:, r:]], axis=1)
-        return cls(whole, target, base.matrix.shape[1], tuple(tuple(b) for b in bodies), labels)
+        return cls(whole, target, base.matrix.shape[1], bodies, labels)
 
 
 def compressed(matrix: np.ndarray, target: np.ndarray, middle: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
