@@ -17,7 +17,7 @@ from bayesid.effects.exact import effect_derivatives_at_joint
 from bayesid.effects.families import EncoderEffect, JointDelayEffect, JointGainEffect, comes_on_top, needs_no_load
 from bayesid.effects.model import Model
 from bayesid.recordings.experiment import Experiment
-from bayesid.robot.prior import Prior
+from bayesid.robot.prior import Prior, filled_links
 from bayesid.robot.robot import Robot
 
 #: The source of a floor that is measured where nothing moves a sensor: above the motion.
@@ -99,8 +99,9 @@ class DiagnosisData:
 
     @cached_property
     def links(self) -> np.ndarray:
-        """Nominal link parameters (10 b,)."""
-        return self.robot.nominal.ravel()
+        """Nominal link parameters (10 b,); where nothing is known of them, bodies without a mass have that of usual ones."""
+        unknown = self.experiment.inertia_rel_std is None
+        return (filled_links(self.robot) if unknown else self.robot.nominal).ravel()
 
     @cached_property
     def travel(self) -> np.ndarray:

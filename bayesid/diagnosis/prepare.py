@@ -19,7 +19,7 @@ from bayesid.recordings.examination import dead_channels
 from bayesid.recordings.experiment import Experiment, Motion, motions_named
 from bayesid.recordings.table import WRENCH_COLUMNS, usual_step
 from bayesid.regression.readings import default_channel, has_readings, make_channels, readings_of
-from bayesid.robot.prior import Prior
+from bayesid.robot.prior import Prior, filled_links
 from bayesid.signals.resampling import resample_evenly, uneven
 from bayesid.signals.smoothing import choose_smoothers
 
@@ -104,8 +104,9 @@ def prepare_data(
         shortest = f"{settings.shortest_segment:g} s"
         raise InputError(f"the motions to fit have no segment of {shortest} without a gap; record longer ones")
     rel_std = experiment.inertia_rel_std
-    assumed = _UNKNOWN_REL_STD if rel_std is None else rel_std
-    prior = None if rel_std == 0 else Prior.warped(experiment.robot.nominal, assumed)
+    # Nothing known is a width beside the bodies' own: one without a mass would have none, and be exact.
+    known = Prior.warped(filled_links(experiment.robot), _UNKNOWN_REL_STD) if rel_std is None else None
+    prior = known if not rel_std else Prior.warped(experiment.robot.nominal, rel_std)
     compared = {s.motion for s in (*fitted, *others)}
     left_out = [m for m in experiment.motions if m.role == "validation" and m.name not in {*names, *compared}]
     data = DiagnosisData(

@@ -177,6 +177,12 @@ def typical_links(robot: Robot) -> np.ndarray:
     return out
 
 
+def filled_links(robot: Robot) -> np.ndarray:
+    """Nominal parameters of every body (b, 10), with typical ones of a body that has no mass, as of a tool that no URDF holds."""
+    weightless = robot.nominal[:, :1] == 0.0
+    return np.where(weightless, typical_links(robot), robot.nominal) if weightless.any() else robot.nominal
+
+
 def assumed_links(robot: Robot) -> np.ndarray:
     """Nominal parameters of every body (b, 10), or typical ones where the URDF states no masses."""
     return robot.nominal if states_masses(robot) else typical_links(robot)

@@ -316,7 +316,7 @@ def _doubts(moved: dict[str, np.ndarray], source: str) -> list[str]:
     if moved and not any(body[0] > 0.0 for body in moved.values()):
         out.append(
             f"{source}: no link but the root has a mass, so nothing is known of the nominal robot; "
-            "write the masses, or leave [robot] inertia_rel_std out"
+            "write the masses, or state no [robot] inertia_rel_std"
         )
     empty = [name for name, body in moved.items() if body[0] == 0.0 and body.any()]
     if empty:

@@ -301,6 +301,18 @@ def test_a_dead_axis_of_the_sensor_leaves_the_mass_of_the_others(stated, wrist):
         bayesid.diagnose(dead, channel="wrench")
 
 
+def test_a_tool_without_a_mass_in_the_urdf_is_free_as_any_other(wrist):
+    """Its prior was as wide as its mass, none, so that all of its weight was something missing, 200 times the noise."""
+    bare = replace(wrist, robot=replace(wrist.robot, nominal=np.zeros_like(wrist.robot.nominal)))
+    for effects in ({}, {"sensor_crosstalk@fz->my": {"coefficient": 0.02}}):
+        made = bayesid.simulate(wrist, poses(wrist.robot, 40), effects={**OFFSET, **effects}, recorder=NOISE, seed=5)
+        stated, free = (bayesid.payload(replace(made, robot=robot)) for robot in (wrist.robot, bare.robot))
+        named = [[{e.spec, *e.ambiguous_with} for e in result.effects] for result in (stated, free)]
+        assert free.verdict == stated.verdict and named[0] == named[1] and len(named[0]) == len(effects)
+        assert free.mass.value == pytest.approx(stated.mass.value, abs=0.1 * stated.mass.std)
+        assert not any("stays unexplained" in text for text in free.warnings)
+
+
 @pytest.fixture(scope="module")
 def crossed(tmp_path_factory):
     """Two joints whose axes cross where the links' frames are, with a body on the second and without it; and the body."""
