@@ -12,7 +12,7 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import BaseParameters, structural_base
 from bayesid.dynamics.channels import Channels
-from bayesid.effects import Effect, EffectLibrary, Point, middle_of, starting_point
+from bayesid.effects import Effect, EffectLibrary, Point, middle_of, starting_point, stated_of
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion, motions_named
 from bayesid.regression.bandwidth import LOWEST, BandwidthChoice, choose_bandwidth
@@ -87,11 +87,16 @@ def model_structure(
         experiment.robot,
         channels,
         gravity=any(s.gravity for s in segments),
-        offset=offset and any(not name.startswith("tau") for name in channels.names),
+        offset=offset and any(e.absorbs_weight and not _held(experiment, e) for e in effects),
         at_rest=all(s.poses for s in segments),
     )
     unseen = tuple(spec for spec in specs if not library.parse([spec], joints, channels.names, experiment.gear_ratio))
     return Structure(tuple(specs), effects, base, unseen, _point(experiment, base, effects, segments))
+
+
+def _held(experiment: Experiment, effect: Effect) -> bool:
+    """Whether an effect is kept as it is stated: where that is a sensor's offset, weight that looks like one is told from it."""
+    return bool(stated_of(effect, experiment.effect_values, experiment.robot.joint_names).get("fixed", False))
 
 
 def _unstated(library: EffectLibrary, channels: Channels, specs: Sequence[str]) -> list[str]:

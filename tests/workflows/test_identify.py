@@ -110,11 +110,29 @@ def test_what_is_written_beside_the_links_holds_none_of_their_weight(result, arm
         fz = found.effects()[0]["parameters"]["fz"]
         assert abs(fz["value"] - OFFSET[2]) < 3 * fz["std"]
         assert found.parameters()["sensor_offset@sensor.fz"].std == pytest.approx(fz["std"])
-        found.write(tmp_path / "again")
-        back = bayesid.load(tmp_path / "again" / ("posterior.json" if found is not result else "estimate.json"))
+        out = tmp_path / ("again" if found is result else "drawn")
+        found.write(out)
+        back = bayesid.load(out)
         for level in (0.5, 0.95):
             here, there = (r.parameters(level)["sensor_offset@sensor.fz"] for r in (found, back))
             assert (here.low, here.value, here.high) == pytest.approx((there.low, there.value, there.high))
+
+
+def test_an_offset_that_is_known_leaves_the_weight_to_the_links(tmp_path):
+    """It was held at what is stated and the nominal links' weight, whatever the links weigh, and was written as that."""
+    robot, sensor = puma2(tmp_path), Sensor()
+    stated = dict(zip(("fx", "fy", "fz", "mx", "my", "mz"), OFFSET.tolist(), strict=True))
+    held = {"sensor_offset": {**stated, "fixed": True}}
+    heavier = dict(phi=1.1 * robot.nominal.ravel(), offset=OFFSET, **NOISE)
+    arm = replace(two_motions(robot, sensor, **heavier), effects=("sensor_offset",), effect_values=held)
+    found = bayesid.identify(arm)
+    truth = found.base.matrix @ (1.1 * robot.nominal.ravel())
+    assert "m1 + m2" in found.base.labels and np.abs((found.values - truth) / found.std).max() < 4
+    assert not found.base.weight_in_offset and found.offset is None
+    assert {k: v["value"] for k, v in found.effects()[0]["parameters"].items()} == pytest.approx(stated)
+    found.write(tmp_path / "out")
+    again = bayesid.identify(arm.with_model(tmp_path / "out" / "model.toml"))
+    np.testing.assert_allclose(again.values, found.values, rtol=1e-9)
 
 
 def test_links_are_as_near_to_the_estimate_as_stated_and_the_urdf_loads_back(result, arm, tmp_path):
