@@ -260,7 +260,7 @@ def next_experiment(verdict: Verdict, found: Sequence[Found], *, poses: bool = F
         )
     if verdict == "ambiguous" and all(len(f.rivals) == len(f.together) for f in found):
         pairs = "; ".join(f"{f.term.effect.spec} from {' and '.join(f.together)}" for f in found if f.together)
-        return f"No motion tells {pairs}: another sensor or channel may, such as joint torques beside a wrench."
+        return f"No motion tells {pairs}. Joint torques beside a wrench may, and the gear ratio of the data sheet (gear_ratio)."
     if verdict == "ambiguous":
         return (
             f"To tell {_open_names(found)}: move other joints and repeat the motion at half and at full speed; effects that "

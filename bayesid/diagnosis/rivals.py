@@ -153,7 +153,8 @@ def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...],
             models, f = models.own(fit(without.projector, (*held, one), without))
             lack = (best.score - f.score) / dispersion + bonus
             near += [(f.terms[-1], lack)] if lack < settings.rival and one.effect.spec not in specs else []
-        same = term.effect.same_as(term.values, library.around)
+        fitted = [t.effect for t in held if not best.projector.data.fixed(t)]
+        same = term.effect.same_as(term.values, library.around, fitted)
         together = tuple(t.effect.spec for t in same)
         near = [(t, lack) for t, lack in near if t.effect.spec not in together] + [(t, float(np.log(len(same)))) for t in same]
         gain = (best.score - without.score) / dispersion

@@ -90,10 +90,12 @@ class RotorMomentum(RotorEffect):
         # In a wrench or in torques alone it is a change of two links.
         return around.both_channels or around.links_known
 
-    def same_as(self, values, around):
+    def same_as(self, values, around, beside):
         # A turning joint's axis z is fixed in both of its links, which turn against each other at qd: the momentum J qd z is that
-        # of an inertia J about z, more in the joint's link and less in its parent. Torques show that the joint does not turn it.
-        if around.torques or self.slides:
+        # of an inertia J about z, more in the joint's link and less in its parent. Only the joint's own torque tells how much of
+        # it the joint turns, and that is a rotor inertia.
+        absorbed = any(e.name == "rotor_inertia" and e.joint == self.joint for e in beside)
+        if (around.torques and not absorbed) or self.slides:
             return ()
         robot, joint = around.robot, self.joint or 0
         parent, axis = int(robot.parent[joint]), robot.axis[joint]

@@ -268,8 +268,11 @@ class Effect(ABC):
         """Frequency [Hz] up to which encoders show enough of what it does for its equation to hold; most hold anywhere."""
         return inf
 
-    def same_as(self, values: Sequence[float], around: Surroundings) -> tuple[Term, ...]:
-        """Other effects that together do the same, whatever the motion: nothing in what is compared tells it from them."""
+    def same_as(self, values: Sequence[float], around: Surroundings, beside: Sequence[Effect]) -> tuple[Term, ...]:
+        """Other effects that together do the same, whatever the motion: nothing in what is compared tells it from them.
+
+        ``beside`` are effects whose values are fitted in the same model, and may make up for some of it.
+        """
         return ()
 
     def comes_after(self, other: Effect) -> bool:

@@ -272,6 +272,8 @@ def _write_stops(run: StopAndGo, path: Path) -> None:
 def telling_sentence(telling: Telling, file: str) -> str:
     """What to record and what that will settle, or that no motion does."""
     t = telling
+    if t.pairs and len(t.hopeless) == len(t.pairs):
+        return _hopeless(t).lstrip()
     text = f"Record {file} ({duration(t)}, {t.label}) and fit it together with these motions: "
     text += f"it decides between {listed_names(t.rivals)} with probability {chance(t.probability)}"
     text += "" if t.estimated else ", each at its usual size"

@@ -1,10 +1,13 @@
 """What a base sensor can and cannot tell, whatever the motion (structure of the columns)."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from bayesid.dynamics.channels import wrench_channels
-from bayesid.effects import columns, rigid_columns
+from bayesid.effects import columns, readings, rigid_columns
 from tests.effects.arms import LIBRARY, SHIFT, both, moving, term
 
 
@@ -62,3 +65,20 @@ def test_what_no_wrench_can_tell(panda, rigid):
     np.testing.assert_allclose(np.linalg.lstsq(np.column_stack([yaw, constants]), angle, rcond=None)[0][0], 1.0, atol=1e-6)
     second = columns(panda, channels, segment, panda.nominal, [], term(panda, "encoder_offset@joint2").effect).ravel()
     assert outside(second, np.column_stack([yaw, constants])) > 0.5
+
+
+def test_a_rotors_momentum_is_two_inertias_but_for_what_its_joint_turns(panda, rigid):
+    """In all readings, to rounding; a rotor inertia of the joint makes up for the rest. A sliding joint's is none."""
+    segment, channels, _, _ = rigid
+    around, torques = SimpleNamespace(robot=panda, torques=True), both(panda)
+    for joint in (1, 4, 7):
+        spin = term(panda, f"rotor_momentum@joint{joint}", 0.02)
+        rotor = term(panda, f"rotor_inertia@joint{joint}", -0.02)
+        assert spin.effect.same_as(spin.values, around, ()) == ()
+        twins = spin.effect.same_as(spin.values, around, (rotor.effect,))
+        assert twins == spin.effect.same_as(spin.values, SimpleNamespace(robot=panda, torques=False), ())
+        assert len(twins) == min(joint, 2)
+        for read, others in ((channels, twins), (torques, (*twins, rotor))):
+            own, same = (readings(panda, read, segment, panda.nominal, terms) for terms in ((spin,), others))
+            np.testing.assert_allclose(own, same, atol=1e-9 * np.abs(own).max())
+        assert replace(spin.effect, slides=True).same_as(spin.values, around, (rotor.effect,)) == ()
