@@ -394,6 +394,7 @@ def test_the_command_line(recorded, tmp_path):
     found = json.loads((out / "excitation.json").read_text(encoding="utf-8"))
     assert found["recordings"] == ["identification"] and found["tell"]["duration"] == pytest.approx(6.0)
     assert {p["true"] for p in found["tell"]["pairs"]} == {"base_tilt@base", "sensor_rotation@sensor"}
+    out = tmp_path / "told"
     assert main(["diagnose", str(tmp_path / "arm"), *asked[:2], "--out", str(out)]) == 0
     found = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
     assert {p["true"] for p in found["next_motion"]["pairs"]} == {"base_tilt@base", "sensor_rotation@sensor"}
