@@ -230,7 +230,8 @@ def effect_lines(report: SetReport) -> list[tuple[str, str]]:
     groups: dict[tuple[str, str], list[EffectExpectation]] = {}
     for e in report.effects:
         spec, _, parameter = e.name.rpartition(".")
-        groups.setdefault((f"{spec.partition('@')[0]}.{parameter}", e.unit), []).append(e)
+        weight = report.expected.base.effect_labels([e.name])[0].removeprefix(e.name)
+        groups.setdefault((f"{spec.partition('@')[0]}.{parameter}{weight}", e.unit), []).append(e)
     lines = []
     for (name, unit), members in groups.items():
         stds = sorted(e.std for e in members if e.std is not None)

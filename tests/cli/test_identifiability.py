@@ -40,6 +40,13 @@ def test_a_recording(folder, tmp_path, capsys):
         assert text in page
 
 
+def test_what_is_expected_of_an_offset_with_weight_in_it_is_not_called_that_of_the_offset(folder, tmp_path, capsys):
+    command = ["identifiability", str(folder), "--sensor-sets", "wrench-offset", "--out", str(tmp_path / "out")]
+    assert main(command) == 0
+    printed = capsys.readouterr().out
+    assert "sensor_offset.fx: standard" in printed and "sensor_offset.fz + weight: standard" in printed  # it stands upright
+
+
 def test_a_plan_whose_tables_have_no_readings(folder, tmp_path):
     """The same positions without readings: the same ranks and classes, only their errors are expected from the data sheet."""
     out = tmp_path / "recorded"
