@@ -22,7 +22,7 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.linalg import condition_number, determined_inverse, undetermined
 from bayesid.regression.readings import has_readings, make_channels
 from bayesid.robot import inertia
-from bayesid.robot.prior import Prior, assumed_links, states_masses
+from bayesid.robot.prior import Prior, assumed_links, states_masses, with_sizes
 from bayesid.robot.robot import Robot
 from bayesid.simulation.trajectories import Trajectory
 
@@ -284,7 +284,7 @@ def report_of(plan: PlannedMotions, sensor_set: SensorSet, noise: ReadingNoise, 
     channels = make_channels(experiment, sensor_set.channel)
     richest = richest_base(experiment.robot, channels, sensor_set)
     links = assumed_links(experiment.robot).ravel()
-    spread = Prior.nominal(links, 2.0**0.5).covariance
+    spread = Prior.nominal(with_sizes(links), 2.0**0.5).covariance
     rel_std = experiment.inertia_rel_std
     prior = Prior.warped(links, rel_std).covariance if rel_std and states_masses(experiment.robot) else None
     used = {"wrench": ("wrench",), "torque": ("torque",), "both": ("wrench", "torque")}[sensor_set.channel]

@@ -17,7 +17,7 @@ from bayesid.errors import InputError
 from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
 from bayesid.regression.row_cache import RowCache
 from bayesid.robot import inertia
-from bayesid.robot.prior import Prior
+from bayesid.robot.prior import Prior, with_sizes
 from bayesid.signals.filters import LowPass
 
 
@@ -101,7 +101,7 @@ class Regression:
         """How uncertain ``nominal`` is when every body's mass distribution is so by its own size (r,)."""
         if self.knowledge.nominal_links is None:
             return None
-        covariance = Prior.nominal(self.knowledge.nominal_links, 2.0**0.5).covariance
+        covariance = Prior.nominal(with_sizes(self.knowledge.nominal_links), 2.0**0.5).covariance
         return np.sqrt(np.einsum("ij,jk,ik->i", self.base.matrix, covariance, self.base.matrix))
 
     @classmethod

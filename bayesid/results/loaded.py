@@ -26,7 +26,7 @@ from bayesid.results.comparison import Entry, HasEntries
 from bayesid.results.estimated import HasEstimate
 from bayesid.results.files import BESIDE
 from bayesid.results.frames import frame
-from bayesid.robot.prior import Prior
+from bayesid.robot.prior import Prior, with_sizes
 from bayesid.robot.urdf import JointDynamics
 from bayesid.rounding import LEVEL
 from bayesid.validation.flexible import FlexibleGap
@@ -212,7 +212,7 @@ class LoadedIdentification(HasEstimate, _WithEffects, _WithPredictions):
         links, k = self.document["nominal_links"], self.base.matrix
         if links is None:
             return None
-        return np.sqrt(np.einsum("ij,jk,ik->i", k, Prior.nominal(np.array(links), 2.0**0.5).covariance, k))
+        return np.sqrt(np.einsum("ij,jk,ik->i", k, Prior.nominal(with_sizes(np.array(links)), 2.0**0.5).covariance, k))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -177,6 +177,14 @@ def typical_links(robot: Robot) -> np.ndarray:
     return out
 
 
+def with_sizes(links: np.ndarray) -> np.ndarray:
+    """Parameters (b, 10) or (10 b,) of bodies as (b, 10), a ball of water for one without a mass, whose size is not known."""
+    mass = _DENSITY * 4.0 / 3.0 * np.pi * _RADIUS**3
+    ball = inertia.from_pseudo_inertia(mass * np.diag([*np.full(3, _RADIUS**2 / 5.0), 1.0]))
+    bodies = np.reshape(links, (-1, 10))
+    return np.where(bodies[:, :1] == 0.0, ball, bodies)
+
+
 def filled_links(robot: Robot) -> np.ndarray:
     """Nominal parameters of every body (b, 10), with typical ones of a body that has no mass, as of a tool that no URDF holds."""
     weightless = robot.nominal[:, :1] == 0.0

@@ -301,6 +301,23 @@ def test_a_dead_axis_of_the_sensor_leaves_the_mass_of_the_others(stated, wrist):
         bayesid.diagnose(dead, channel="wrench")
 
 
+def test_a_tool_without_a_mass_in_the_urdf_is_identified_and_written(wrist, tmp_path):
+    """Its parameters were said to be less sure than its size, which was none, and identified.urdf held next to nothing of it."""
+    nominal = wrist.robot.nominal.copy()
+    nominal[wrist.robot.n :] = 0.0
+    made = bayesid.simulate(wrist, poses(wrist.robot, 40), effects=OFFSET, recorder=NOISE, seed=5)
+    result = bayesid.identify(replace(made, robot=replace(wrist.robot, nominal=nominal)))
+    mass, centre, _ = truth(wrist.robot)
+    document = result.to_dict()
+    assert [b["class"] for b in document["base_parameters"]] == ["alone"] * 4
+    np.testing.assert_allclose(
+        document["link_parameters"][-10:-6], [mass, *mass * centre], atol=4.0 * np.max(result.estimate.std)
+    )
+    assert not any("No bodies that can exist" in text for text in result.warnings)
+    result.write(tmp_path / "out")
+    assert [b["class"] for b in bayesid.load(tmp_path / "out").to_dict()["base_parameters"]] == ["alone"] * 4
+
+
 def test_a_tool_without_a_mass_in_the_urdf_is_free_as_any_other(wrist):
     """Its prior was as wide as its mass, none, so that all of its weight was something missing, 200 times the noise."""
     bare = replace(wrist, robot=replace(wrist.robot, nominal=np.zeros_like(wrist.robot.nominal)))

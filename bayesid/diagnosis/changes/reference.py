@@ -35,7 +35,7 @@ from bayesid.regression.linalg import or_one, pseudo_inverse
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, absorbed_offset, prepare
 from bayesid.regression.rows import make_blocks
-from bayesid.robot.prior import Prior, states_masses, typical_links
+from bayesid.robot.prior import Prior, states_masses, typical_links, with_sizes
 from bayesid.robot.robot import Robot
 
 #: Share of a column that must be left beside the model's own for its amplitude in the reference to be asked for.
@@ -174,7 +174,7 @@ class Reference:
     def _vague(self) -> np.ndarray:
         """Size of each parameter (p,)."""
         model = self.problem.row_model
-        links = Prior.nominal(self.robot.nominal, 2.0**0.5).covariance
+        links = Prior.nominal(with_sizes(self.robot.nominal), 2.0**0.5).covariance
         base = np.sqrt(np.einsum("ij,jk,ik->i", model.base.matrix, links, model.base.matrix))
         typical = np.array([abs(t) for e in model.effects for t in e.typical(self.robot)])
         return np.concatenate([base, typical[model.free]])
