@@ -25,7 +25,8 @@ from bayesid.diagnosis.grams import schwarz
 from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Effect, Term
-from bayesid.robot.prior import Prior
+from bayesid.effects.bodies import body_of, split_matrix
+from bayesid.robot.prior import Prior, typical_links
 
 #: Gauss-Newton steps at most; and of a start that is to be compared with others first. Few fits need half of them.
 STEPS, FEW_STEPS = 15, 5
@@ -35,8 +36,8 @@ SWEEPS = 3
 _SETTLED = 0.02
 #: Damping of the first step, in units of a column's squared length, and how often a step is damped more.
 _DAMPING, _TRIALS = 1e-3, 6
-#: Sizes that a change of a link is tried with, over its own.
-WIDTHS = np.array([0.02, 0.05, 0.1, 0.2, 0.5, 1.0])
+#: Sizes that a change of a link is tried with, over its own; the last link of an arm may carry a hundred times its own weight.
+WIDTHS = np.array([0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
 #: Share of a column's length that must be left once the links are projected out.
 ALIVE = 1e-5
 #: A column in sigmas per SI unit this small is rounding: a million newtons or radians would not be seen.
@@ -311,7 +312,7 @@ def _widened(projector: NuisanceProjector, covariance: np.ndarray, kept: np.ndar
 def price(data: DiagnosisData, rows: int, terms: Sequence[Term], free: Sequence[tuple[int, int]], kept: np.ndarray) -> float:
     """What the free parameters cost: ``k / 2 log n``; for a changed link what its prior takes away from the evidence.
 
-    The change is ``w R y`` with y ~ N(0, 1), R R' a prior as wide as the link itself and the width w that suits the estimate
+    The change is ``w R y`` with y ~ N(0, 1), R R' a prior as wide as the body itself and the width w that suits the estimate
     best. In the eigenvectors of ``R' Z' Z R``, eigenvalues l and Z the columns, estimates x = R y of least squares cost
 
         sum of [l y^2 / (1 + w^2 l) + log(1 + w^2 l)] / 2,  and the logarithm of the number of widths tried.
@@ -323,9 +324,7 @@ def price(data: DiagnosisData, rows: int, terms: Sequence[Term], free: Sequence[
     for i, t in enumerate(terms):
         mine = kept[:, [column for column, (term, _) in enumerate(free) if term == i]]
         if t.effect.changes_link and mine.shape[1]:
-            joint = t.effect.joint or 0
-            body = data.links[10 * joint : 10 * joint + 10]
-            prior = Prior.warped(body, 1.0).covariance
+            prior = _body_covariance(data, t.effect.joint or 0)
             size = np.sqrt(np.diag(prior))
             root = size[:, None] * np.linalg.cholesky(prior / np.outer(size, size) + 1e-12 * np.eye(10))
             energy, vectors = np.linalg.eigh(root.T @ (mine.T @ mine) @ root)
@@ -337,6 +336,20 @@ def price(data: DiagnosisData, rows: int, terms: Sequence[Term], free: Sequence[
             unit = mine / np.where(length > 0, length, 1.0)
             total += schwarz(len(_eigen(unit.T @ unit)[0]), rows)
     return total
+
+
+def _body_covariance(data: DiagnosisData, joint: int) -> np.ndarray:
+    """Covariance of changes as wide as the body that changes at a joint, in the joint's frame (10, 10).
+
+    Of a body without mass nothing is known but about what links of its length weigh.
+    """
+    robot, at = data.robot, body_of(data.robot, joint)
+    body = data.links[10 * at : 10 * at + 10]
+    own = Prior.warped(body if body[0] > 0.0 else typical_links(robot)[at], 1.0).covariance
+    if at == joint:
+        return own
+    moved = split_matrix(robot, at)
+    return moved @ own @ moved.T
 
 
 def _alive(length: np.ndarray, jacobian: np.ndarray) -> np.ndarray:

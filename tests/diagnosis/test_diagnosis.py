@@ -36,12 +36,15 @@ from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.search import certain
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.effects import EffectLibrary, Term, columns
+from bayesid.effects.bodies import InertiaError, split_matrix
 from bayesid.effects.families import needs_no_load
 from bayesid.recordings.experiment import load_experiment
-from bayesid.robot.prior import Prior
+from bayesid.robot import inertia
+from bayesid.robot.prior import Prior, typical_links
 from bayesid.robot.robot import load_robot
 from bayesid.signals.white_noise import quiet_noise
-from tests.robots import wrist_sensor_arm, write
+from bayesid.simulation.simulation import simulate
+from tests.robots import ur5, wrist_sensor_arm, write
 
 PLANT = Path(__file__).parents[2] / "case_studies" / "blind_naming"
 
@@ -396,9 +399,44 @@ def test_a_changed_link_is_priced_by_its_marginal_likelihood(record):
     own = Prior.warped(data.links[10:20], 1.0).covariance
     plain = np.eye(len(measured)) + links @ nuisance.root @ (links @ nuisance.root).T
     change = links[:, 10:20] @ own @ links[:, 10:20].T
-    free = max(multivariate_normal.logpdf(measured, cov=plain + w**2 * change) for w in fit.WIDTHS)
-    want = free - multivariate_normal.logpdf(measured, cov=plain) - np.log(len(fit.WIDTHS))
+
+    def density(covariance: np.ndarray) -> float:
+        """Log density, but for a constant; scipy's takes wide covariances for singular."""
+        half = np.linalg.cholesky(covariance)
+        return float(-0.5 * np.sum(np.linalg.solve(half, measured) ** 2) - np.log(np.diag(half)).sum())
+
+    want = max(density(plain + w**2 * change) for w in fit.WIDTHS) - density(plain) - np.log(len(fit.WIDTHS))
     assert changed.score - base.score == pytest.approx(want, abs=1e-3 * abs(want) + 0.02)
+
+
+@pytest.mark.parametrize("tool", [True, False])
+def test_a_change_beyond_a_sensor_is_priced_by_what_is_there(tmp_path, tool):
+    """By dense Gaussian densities of the estimate: the tool's, not the link's before the sensor; without one about a link's."""
+    robot = load_robot(write(tmp_path, wrist_sensor_arm()), sensor_joint="wrist_ft")
+    links = robot.nominal.copy()
+    links[6] *= tool
+    data, effect = SimpleNamespace(robot=robot, links=links.ravel()), InertiaError("joint6", 5)
+    rng = np.random.default_rng(0)
+    moved = split_matrix(robot, 6)
+    change = 0.1 * moved @ robot.nominal[6]
+    kept = rng.normal(size=(50, 10)) / np.abs(change).clip(1e-4)
+    got = fit.price(data, 1000, [Term(effect, tuple(change))], [(0, k) for k in range(10)], kept)
+    prior = moved @ Prior.warped(robot.nominal[6] if tool else typical_links(robot)[6], 1.0).covariance @ moved.T
+    known = np.linalg.inv(kept.T @ kept)
+    peak = multivariate_normal.logpdf(np.zeros(10), cov=known)
+    wide = max(multivariate_normal.logpdf(change, cov=known + w**2 * prior) for w in fit.WIDTHS)
+    assert got == pytest.approx(peak - wide + np.log(len(fit.WIDTHS)), rel=1e-6)
+
+
+def test_a_payload_much_heavier_than_the_last_link_is_a_payload_of_that_link(tmp_path):
+    """3 kg on the axis of a last link of 0.19 kg: nearly as much of a payload of the link before it, with a rotor beside that."""
+    robot = load_robot(write(tmp_path, ur5()))
+    body = inertia.from_pseudo_inertia(3.0 * np.block([[np.diag([0.002, 0.0163, 0.002]), np.array([[0.0], [0.12], [0.0]])],
+                                                       [np.array([[0.0, 0.12, 0.0]]), np.ones((1, 1))]]))  # fmt: skip
+    recorded = simulate(robot, effects={"payload@joint6": dict(zip(inertia.PARAMETERS, body, strict=True))}, perturb=0.05)
+    found = diagnose(recorded, "wrench").found
+    assert [f.term.effect.spec for f in found] == ["payload@joint6"]
+    assert abs(found[0].term.values[0] - 3.0) < 4.0 * found[0].std[0]
 
 
 @given(st.integers(0, 10_000), st.integers(2, 6))
