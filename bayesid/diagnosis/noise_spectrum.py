@@ -243,15 +243,18 @@ def coloured(pieces: Sequence[Piece], white: np.ndarray, channels: Sequence[int]
     """Whether noise in the band is stronger than the white noise (c,) read above it.
 
     Judged by the median over windows of a second, so that what happened once, a contact, is not taken for noise; without
-    frequencies below a hertz, which do not stay within a window.
+    frequencies below a hertz, which do not stay within a window. The next hertz comes in gradually, and the last one goes so:
+    behind a sharp edge a contact rings through all windows.
     """
     ratios = []
     for p in pieces:
         z = np.zeros(p.values.shape)
-        low, high = np.searchsorted(p.frequencies, 1.0 / p.settings.window), len(p.frequencies)
-        z[low:high] = np.asarray(dct(p.values * p.weight, axis=0, norm="ortho"))[low:high]
+        cycles = p.settings.window * np.append(p.frequencies, p.settings.band)  # in a window
+        passed = np.sin(0.5 * np.pi * np.clip(np.minimum(cycles - 1.0, cycles[-1] - cycles), 0.0, 1.0))[:-1] ** 2
+        high = len(passed)
+        z[:high] = passed[:, None] * np.asarray(dct(p.values * p.weight, axis=0, norm="ortho"))[:high]
         signal = np.asarray(idct(z, axis=0, norm="ortho"))
-        share = (high - low) / len(signal) * p.gain * p.weight**2
+        share = np.sum(passed**2) / len(signal) * p.gain * p.weight**2
         known = np.mean([p.power(k).diagonal(0, 1, 2).mean(axis=0) for k in p.known], axis=0) if len(p.known) else 0.0
         pieces_ = max(int((p.times[-1] - p.times[0]) / p.settings.window), 1)
         edges = np.linspace(0, len(signal), pieces_ + 1).astype(int)[:-1]

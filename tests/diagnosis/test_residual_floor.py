@@ -245,14 +245,15 @@ def test_neither_repeats_nor_rests_leave_the_floor_unknown(robot):
     assert np.all(s.covariance.diagonal(0, 1, 2) > 0.999 * least)
 
 
-@pytest.mark.parametrize("motion", ["periodic", "parked", "touched"])
+@pytest.mark.parametrize("motion", ["periodic", "parked", "touched", "pushed"])
 def test_a_good_white_estimate_stays_to_the_last_bit(robot, motion, monkeypatch):
-    """Repeats, rests, and a touch in one period alone do not replace it."""
+    """Repeats, rests, and a touch or a strong push in one period alone do not replace it."""
     path = parked(robot, 6, 5.5) if motion == "parked" else fourier(robot, 3, duration=30.0)
     given = setting(robot, path, WHITE)
-    if motion == "touched":
+    if motion in ("touched", "pushed"):
         table = given.motions[0].table
-        push = np.outer((table.times > 12.0) & (table.times < 14.0), [4.0, 0, 0, 0, 0.5, 0])
+        start, force = (12.0, 4.0) if motion == "touched" else (2.0, 40.0)
+        push = np.outer((table.times > start) & (table.times < start + 2.0), [force, 0, 0, 0, force / 8.0, 0])
         given = replace(given, motions=(replace(given.motions[0], table=replace(table, wrench=table.wrench + push)),))
     found = made(given)
     assert (found.floor_known, found.floor_source, found.spectrum) == (True, "white noise above the band", None)
