@@ -30,7 +30,8 @@ _CLEARLY = 0.99
 def at_instants(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], seed: int) -> DiagnosisData:
     """The data with moving readings taken for the values at their times, not for means over a sample's time.
 
-    To friction that reverses it makes a difference: one sample near the reversal is all of it or half of it.
+    To friction that reverses it makes a difference, for one sample near the reversal is all of it or half of it; and to a quiet
+    sensor, for means of a smooth motion are smaller.
     """
 
     def points(segments: Sequence[SpectralSegment]) -> tuple[SpectralSegment, ...]:

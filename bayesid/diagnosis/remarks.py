@@ -142,10 +142,7 @@ def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> li
         )
     out += late_start(max(abs(x.times[0]) for x in data.segments))
     if data.instants:
-        out.append(
-            "Dry friction fits better with readings as values at their times than as means over a sample's time, so they are "
-            "taken for that."
-        )
+        out.append("Readings fit better as values at their times than as means over a sample's time, so they are taken for that.")
     out += [sentence for f in found for sentence in _at_an_end(f.term)]
     hidden = gap is not None and not gap.closed_low > 0.0
     if found and hidden and all(f.term.effect.changes_link for f in found):

@@ -206,6 +206,9 @@ def compare_estimates(first: str, one: Estimate, second: str, other: Estimate) -
     mine, theirs = (e.base.names + e.effect_names for e in (one, other))
     places = [(mine.index(name), theirs.index(name)) for name in mine if name in theirs]
     places = [(i, j) for i, j in places if not (one.undetermined[i] or other.undetermined[j])]
+    held = [np.zeros(0) if e.base.absorbed is None else e.base.absorbed for e in (one, other)]
+    if held[0].shape != held[1].shape or not np.allclose(*held):  # offsets with other weight in them
+        places = [(i, j) for i, j in places if not mine[i].startswith("sensor_offset@")]
     if not places:
         return None
     a, b = np.transpose(places)
@@ -240,7 +243,12 @@ def fits_alone(problem: Problem, method: str | Estimator, motions: Iterable[str]
 
 
 def _fit_of(problem: Problem, method: str | Estimator, motions: Sequence[str]) -> Estimate | None:
+    moves = any(not segment.poses for name in motions for segment in problem.segments[name])
     try:
+        if problem.at_rest and moves:  # its parameters are those of poses, without inertias
+            static = "motion" if problem.subtracts else "joint"
+            options = FitOptions(problem.channel, problem.row_model.filters, motions, problem.effects, static)
+            return fit(prepare(problem.experiment, options).regression, method)
         return fit(restrict(problem, motions).regression, method)
     except (BayesidError, ArithmeticError, np.linalg.LinAlgError):
         return None

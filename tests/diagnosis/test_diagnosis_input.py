@@ -43,6 +43,18 @@ def test_known_friction_of_sampled_readings_leaves_nothing(robot, seed):
     assert any("values at their times" in r for r in found.remarks)
 
 
+def test_a_fast_motion_of_a_rigid_robot_sampled_slowly_is_not_soft(robot):
+    """Means over a sample's time are smaller than the values that `simulate` makes: it was called a compliant base."""
+    fast = [
+        bayesid.fourier_trajectory(robot, name, role, duration=8.0, rate=50.0, fundamental=0.25, seed=seed)
+        for name, role, seed in (("first", "identification", 1), ("unseen", "validation", 2))
+    ]
+    recorder = bayesid.Recorder(force_std=0.1, torque_std=0.01, resolution=1e-7)
+    found = bayesid.diagnose(bayesid.simulate(robot, fast, recorder=recorder, perturb=0.03, seed=1))
+    assert found.verdict == "nothing_missing"
+    assert any("values at their times" in r for r in found.remarks)
+
+
 def test_unknown_friction_of_sampled_readings_is_named(robot):
     named = bayesid.diagnose(recorded(robot, both(robot), DRY), "torque")
     assert named.verdict == "named" and {f.term.effect.name for f in named.found} == set(DRY)
