@@ -36,8 +36,10 @@ def as_points(best: Fit, seed: int) -> DiagnosisData | None:
         return None
     points = at_instants(data, best.links, best.terms, seed)
     fitted = fit(make_projector(points, best.terms), best.terms, best)
-    unexplained = max(fitted.chi2 / fitted.projector.rows, 1.0)  # beside it evidence counts for less
-    return points if fitted.score > best.score + data.settings.accept * unexplained else None
+    # Where friction reverses it shows whatever else is missing; elsewhere what is missing may suit either by chance.
+    dry = any(t.effect.reverses_at_once for t in best.terms)
+    tells = dry or fitted.chi2 < data.settings.unexplained * fitted.projector.rows
+    return points if tells and fitted.score > best.score + data.settings.accept else None
 
 
 def soft_terms(terms: Sequence[Term]) -> Softness:

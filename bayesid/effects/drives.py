@@ -101,6 +101,7 @@ class CoupledFriction(ReadingEffect):
     confusable_with = ("viscous_friction", "coulomb_friction", "rotor_inertia")
     # The joint whose motor it is has no other one.
     instead_of = ("viscous_friction", "coulomb_friction", "rotor_inertia")
+    reverses_at_once = True
 
     def sought(self, around):
         # As for coupled transmissions; with a joint that rests it is the other one's friction.

@@ -124,6 +124,7 @@ class Effect(ABC):
     settling: ClassVar[float] = 0.0
     #: Whether it differentiates a load again; encoders' errors pass through it much enlarged.
     amplifies_encoder_errors: ClassVar[bool] = False
+    reverses_at_once: ClassVar[bool] = False  # whether it jumps where the joint's motion reverses
     once: ClassVar[bool] = False  # whether it happens once, in one recording
     #: Whether only one of its kind is sought: with a place and a shape to find, two can imitate one that settled wrongly.
     single: ClassVar[bool] = False

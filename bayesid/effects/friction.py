@@ -87,6 +87,7 @@ class CoulombFriction(JointTorqueEffect):
     confusable_with = ("viscous_friction", "stribeck_friction", "load_friction")
     urdf_dynamics = "friction"
     column_in_time = "sampled"
+    reverses_at_once = True
 
     def torque(self, motion, values):
         return values[0] * motion.direction
@@ -103,6 +104,7 @@ class PostureFriction(JointTorqueEffect):
         Parameter("sine", "N m", typical=partial(sizes.effort, share=0.006)),
     )
     confusable_with = ("coulomb_friction", "load_friction")
+    reverses_at_once = True
 
     def torque(self, motion, values):
         return (values[0] * np.cos(motion.position) + values[1] * np.sin(motion.position)) * motion.direction
@@ -125,6 +127,7 @@ class DahlFriction(JointTorqueEffect):
     # Whatever friction does at a reversal, it turns over a little late: that alone is no bristle. Coulomb friction is a bristle
     # that is stiff.
     instead_of = ("coulomb_friction", "stribeck_friction", "load_friction", "posture_friction", "warming_friction")
+    reverses_at_once = True
     remembers = True
 
     def reach(self, values, bandwidth, step):
@@ -150,6 +153,7 @@ class StribeckFriction(JointTorqueEffect):
         ),
     )  # fmt: skip
     confusable_with = ("coulomb_friction", "dahl_friction")
+    reverses_at_once = True
 
     def torque(self, motion, values):
         return values[0] * np.exp(-((motion.velocity / max(values[1], 1e-9)) ** 2)) * motion.direction
@@ -163,6 +167,7 @@ class LoadFriction(JointTorqueEffect):
     source = _ARMSTRONG
     quantities = (Parameter("coefficient", "1", 0.0, 1.0, typical=0.05),)
     confusable_with = ("coulomb_friction",)
+    reverses_at_once = True
     uses_load = True
 
     def torque(self, motion, values):
@@ -188,6 +193,7 @@ class WarmingFriction(JointTorqueEffect):
         Parameter("time", "s", 5.0, 1e5, start=30.0, linear=False, step=1e-3, tried=WARMING_TIMES),
     )
     confusable_with = ("viscous_friction", "coulomb_friction", "torque_gain")
+    reverses_at_once = True
     remembers = True
     since_zero = True
 
