@@ -207,7 +207,7 @@ def compare_estimates(first: str, one: Estimate, second: str, other: Estimate) -
     places = [(mine.index(name), theirs.index(name)) for name in mine if name in theirs]
     places = [(i, j) for i, j in places if not (one.undetermined[i] or other.undetermined[j])]
     held = [np.zeros(0) if e.base.absorbed is None else e.base.absorbed for e in (one, other)]
-    if held[0].shape != held[1].shape or not np.allclose(*held):  # offsets with other weight in them
+    if held[0].shape != held[1].shape or not np.allclose(held[0], held[1]):  # offsets with other weight in them
         places = [(i, j) for i, j in places if not mine[i].startswith("sensor_offset@")]
     if not places:
         return None
