@@ -20,7 +20,7 @@ JOINT_RESONANCES = np.geomspace(3.0, 30.0, 17)
 #: How far the effort limit may bend a joint, where compliances are tried [rad or m]: a series elastic drive bends a tenth.
 SOFTEST = 0.5
 #: Torques at which gear teeth may lie firmly on each other, as shares of the effort limit.
-FIRM_SHARES = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
+FIRM_SHARES = (3e-4, 3e-3, 3e-2)
 #: Resonances of a mount [Hz], which are tried; so damped that the half-power bandwidth, twice the damping, reaches from the one
 #: before to the one after: a fit from a sharper one ends beside the mount's own resonance.
 MOUNT_RESONANCES = np.geomspace(2.5, 60.0, 14)
