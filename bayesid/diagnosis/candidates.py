@@ -208,19 +208,11 @@ class Library:
 
     def unexplained(self, fit: Fit) -> tuple[np.ndarray, int]:
         """Whitened rows less all that the fit and all columns together explain (rows,), and how many directions that takes."""
-        projector, both = self.projector, self._all_of(fit)
-        left = projector.project_out(np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)]))
-        return both.project_out(left)[: projector.length], both.rank
-
-    def freedom(self, fit: Fit) -> np.ndarray:
-        """Share of each row's noise that links, offset, the fit and all columns together leave (rows,)."""
         projector = self.projector
-        taken = np.sum(projector.q[: projector.length] ** 2, axis=1) + self._all_of(fit).share()[: projector.length]
-        return np.maximum(1.0 - taken, 0.0)
-
-    def _all_of(self, fit: Fit) -> Span:
-        """What a fit and all columns together explain."""
-        return self._span.with_more(self.projector.columns(fit.jacobian), self._rounding)
+        model = projector.columns(fit.jacobian)
+        left = projector.project_out(np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)]))
+        both = self._span.with_more(model, self._rounding)
+        return both.project_out(left)[: projector.length], both.rank
 
     @cached_property
     def _span(self) -> Span:

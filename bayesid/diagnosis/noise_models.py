@@ -16,9 +16,7 @@ from bayesid.diagnosis.candidates import Library, make_library
 from bayesid.diagnosis.data import WHITE, DiagnosisData
 from bayesid.diagnosis.fit import SWEEPS, Fit, fit
 from bayesid.diagnosis.noise import at_instants, with_noise_of
-from bayesid.diagnosis.noise_spectrum import bands
 from bayesid.diagnosis.projector import NuisanceProjector, make_projector
-from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import Term
 
@@ -133,34 +131,23 @@ SOURCES = {
 _EDGES = np.concatenate([[0.0], np.geomspace(0.15, 10.0, 9)])
 
 
-def _level(energy: np.ndarray, freedom: np.ndarray, settings: Settings) -> np.ndarray:
-    """Mean square (B,) of one channel's noise, by energies and degrees of freedom of bands; those of few have one together."""
-    edges = bands(freedom, settings)
-    edges = edges if len(edges) > 1 else np.array([0, len(freedom)])
-    whole, free = (np.add.reduceat(x, edges[:-1]) for x in (energy, freedom))
-    # Of so many degrees of freedom, squares over it are larger than one by nu / (nu - 2) on average.
-    return np.repeat(whole / np.maximum(free - 2.0, 1.0), np.diff(edges))
-
-
 def with_floor_of(library: Library, best: Fit) -> DiagnosisData:
     """The data with noise enlarged to what a fit and all columns of the library together leave.
 
     Never below what was measured. What remains of a model error that no effect of the library resembles counts as noise
     then: names become harder to earn, and whether something unknown is missing can no longer be said.
-
-    So many columns explain nearly everything where the robot moves, noise as well: what they leave of a band of frequencies is
-    counted by how much of its noise they can leave.
     """
-    data, left, freedom = library.projector.data, library.unexplained(best)[0], library.freedom(best)
+    data, (left, parameters) = library.projector.data, library.unexplained(best)
+    share = library.projector.rows / max(library.projector.rows - parameters, 0.1 * library.projector.rows)
     channels = len(data.channels)
-    energy, free = np.zeros((2, len(_EDGES), channels))
+    energy, count = np.zeros((len(_EDGES), channels)), np.zeros((len(_EDGES), 1))
     at = 0
     for s in data.segments:
-        mine = slice(at, at + s.shape[0] * s.shape[1])
-        part, at = np.searchsorted(_EDGES, s.frequencies, side="right") - 1, mine.stop
-        np.add.at(energy, part, left[mine].reshape(s.shape) ** 2)
-        np.add.at(free, part, freedom[mine].reshape(s.shape) * s.alive)
-    ratio = np.maximum(np.stack([_level(e, f, data.settings) for e, f in zip(energy.T, free.T, strict=True)], axis=1), 1.0)
+        mine, at = left[at : at + s.shape[0] * s.shape[1]].reshape(s.shape), at + s.shape[0] * s.shape[1]
+        part = np.searchsorted(_EDGES, s.frequencies, side="right") - 1
+        np.add.at(energy, part, mine**2)
+        np.add.at(count, part, 1.0)
+    ratio = np.maximum(share * energy / np.maximum(count, 1.0), 1.0)
 
     def louder(segments: Sequence[SpectralSegment]) -> tuple[SpectralSegment, ...]:
         out = []

@@ -179,7 +179,7 @@ def measured_spectrum(pieces: Sequence[Piece]) -> NoiseSpectrum | None:
     frequency, total, known, freedom = (np.concatenate(x) for x in zip(*parts, strict=True))
     order = np.argsort(frequency, kind="stable")
     frequency, total, known, freedom = frequency[order], total[order], known[order], freedom[order]
-    edges = bands(freedom, settings)
+    edges = _bands(freedom, settings)
     if len(edges) < 3:
         return None
 
@@ -216,7 +216,7 @@ def _less(total: np.ndarray, known: np.ndarray) -> np.ndarray:
     return out @ out.T
 
 
-def bands(freedom: np.ndarray, settings: Settings) -> np.ndarray:
+def _bands(freedom: np.ndarray, settings: Settings) -> np.ndarray:
     """First indices of bands of enough degrees of freedom; the last is the end."""
     edges, got = [0], 0.0
     for i, f in enumerate(freedom):

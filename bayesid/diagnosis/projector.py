@@ -118,8 +118,6 @@ def offset_columns(segment: SpectralSegment) -> np.ndarray:
 
 #: Singular values below this share of the largest are directions that are not there.
 _LEAST = 1e-6
-#: Rows of a basis that are made at once.
-_TOGETHER = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,12 +158,6 @@ class Span:
         """What the columns cannot explain of values (rows, ...)."""
         left = values - self.columns @ (self.root @ self.along(values))
         return self.more.project_out(left) if self.more else left
-
-    def share(self) -> np.ndarray:
-        """Share of each row that lies in the space (rows,): the squared length of its row of an orthonormal basis."""
-        starts = range(0, len(self.columns), _TOGETHER)
-        own = np.concatenate([np.sum((self.columns[k : k + _TOGETHER] @ self.root) ** 2, axis=1) for k in starts])
-        return own + self.more.share() if self.more else own
 
     def with_more(self, columns: np.ndarray, rounding: float = 0.0) -> Span:
         """The space with further columns (rows, k) in it; ``rounding`` as for `of`."""

@@ -20,10 +20,8 @@ from bayesid.diagnosis.spectra import taper
 from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.table import Table
-from bayesid.robot.robot import load_robot
 from bayesid.signals import repeats
 from bayesid.signals.white_noise import quiet_noise
-from tests.robots import ROBOTS, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2
 
 RATE = 125.0
@@ -67,7 +65,7 @@ def recorded(robot, motion, law, seed: int, *, delay: float = 0.0, resolution: f
 def swept(robot, seed: int, duration: float):
     """A motion that never repeats itself."""
     times, q, v, a = fourier(robot, seed, duration=duration, speed=0.8)
-    w = 2.0 * np.pi * 0.037 * np.sqrt(np.array([2.0, 5.0, 3.0, 7.0, 11.0, 13.0])[: robot.n])
+    w = 2.0 * np.pi * 0.037 * np.sqrt(np.array([2.0, 5.0]))
     return times, q + 0.3 * np.sin(w * times[:, None]), v + 0.3 * w * np.cos(w * times[:, None]), a - 0.3 * w**2 * np.sin(
         w * times[:, None]
     )  # fmt: skip
@@ -333,22 +331,3 @@ def test_no_channel_is_known_better_than_to_four_digits(robot):
     np.testing.assert_allclose(least(0.0 * moving), 1e-8 * read, rtol=0.3)
     large = np.sum(segment.spectrum(1e6 * moving) ** 2, axis=0)
     np.testing.assert_allclose(least(1e6 * moving), 1e-8 * large, rtol=0.3)
-
-
-def test_what_all_columns_leave_is_counted_by_how_much_noise_they_can_leave(tmp_path):
-    """Filtered readings of a six-joint arm, no repeats and no rest: where it moves, all columns explain nearly all of the noise.
-
-    What they leave there is no floor: nothing is hidden, and something once was said to be missing, fifty times the noise.
-    """
-    arm = load_robot(write(tmp_path, ROBOTS["puma560"]()))
-    motions = [swept(arm, 3, 20.0), swept(arm, 4, 12.0)]
-    given = replace(setting(arm, motions[0], FILTERED, motions[1]), inertia_rel_std=0.1)
-    found = diagnose(given, "wrench")
-    assert (found.data.floor_known, found.data.floor_source) == (False, "richest model")
-    assert found.verdict == "nothing_missing"
-    s = found.data.segments[0]
-    for seed in (7, 8):
-        z = s.whiten(s.measured(noise(s.readings.shape, FILTERED, seed)))
-        for low, high in [(0.1, 1.0), (1.0, 3.0), (3.0, 6.0)]:
-            inside = (s.frequencies >= low) & (s.frequencies < high)
-            assert 0.25 < np.mean(z[inside] ** 2) < 1.5, (low, high)
