@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from xarray import DataArray
 
 from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.dynamics.channels import WRENCH_NAMES
@@ -71,6 +70,8 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
         """As `Posterior.to_arviz`, with ``sensor_offset`` where links are drawn: the sensor's offset without their weight."""
         data, at = super().to_arviz(), weight_columns(self.problem.row_model)
         if at and self.link_draws is not None:
+            from xarray import DataArray  # takes long to import
+
             own = DataArray(
                 self.own_effect_draws[..., at], dims=("chain", "draw", "axis"), coords={"axis": list(WRENCH_NAMES[: len(at)])}
             )
