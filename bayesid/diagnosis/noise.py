@@ -17,6 +17,7 @@ from bayesid.effects import MotionSegment, Term, columns
 from bayesid.effects.loads import Tether
 from bayesid.recordings.table import usual_step
 from bayesid.regression.readings import has_readings, readings_of, rests, stated_noise
+from bayesid.signals.arrays import runs
 from bayesid.signals.repeats import find_rests
 from bayesid.signals.smoothing import smooth
 from bayesid.signals.white_noise import low_passed, quiet_noise
@@ -215,7 +216,7 @@ def _rests(data: DiagnosisData, count: np.ndarray) -> list[tuple[np.ndarray, np.
     moving = [s for s in (*data.segments, *data.unseen) if not s.still]
     motions = {m.name: m for m in data.experiment.motions if m.name in {s.motion for s in moving}}
     steps = {s.motion: s.step for s in moving}
-    parts = [(s.times, s.readings, rests(motions[s.motion], s.times, s.encoders, count)) for s in moving]
+    parts = [(s.times, s.readings, rests(motions[s.motion], s.times, s.encoders, count), s.used(s.times)) for s in moving]
     for motion in motions.values():
         table = motion.static
         if table is not None and not motion.stop_and_go and has_readings(table, data.channel):
@@ -223,13 +224,16 @@ def _rests(data: DiagnosisData, count: np.ndarray) -> list[tuple[np.ndarray, np.
             pieces = [p for p in table.segments() if p.stop - p.start > 2]
             pieces = [p for p in pieces if abs(usual_step(table.times[p]) / steps[motion.name] - 1.0) < 0.1]
             read = readings_of(data.experiment, table, data.channel)
-            parts += [(table.times[p], read[p], find_rests(table.times[p], table.positions[p], count)) for p in pieces]
+            for p in pieces:
+                times = table.times[p]
+                parts.append((times, read[p], find_rests(times, table.positions[p], count), np.full(len(times), True)))
     out = []
-    for times, read, still in parts:
+    for times, read, still, used in parts:
         for start, end in still:
-            inside = (times >= start) & (times <= end)
-            if np.count_nonzero(inside) > 2:  # what the experiment states may lie in another segment
-                out.append((times[inside], read[inside]))
+            inside = (times >= start) & (times <= end) & used
+            for part in runs(inside):
+                if part[1] - part[0] > 2:  # what the experiment states may lie in another segment
+                    out.append((times[slice(*part)], read[slice(*part)]))
     return out
 
 

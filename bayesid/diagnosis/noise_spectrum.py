@@ -130,13 +130,15 @@ def repeat_pieces(
             for x, y in zip(wrong[r.first], wrong[r.second], strict=True)
         ]
         edge = taper(times, times, a.trajectory.bandwidth, a.settings)[:, None]
-        weight = edge * a.mobile(times) * b.mobile(later)
-        known = np.array([_detrended(times, e) for e in errors]).reshape(-1, *values.shape)
+        weight = edge * a.determined(times) * b.determined(later)
+        used = a.used(times) & b.used(later)
+        known = np.array([_detrended(times, e, used) for e in errors]).reshape(-1, *values.shape)
         length, periodic = r.end - r.start, r.first == r.second
         lowest = max(1.0 / length, 0.25 / r.lag if periodic else 0.0)
         # Neighbouring differences share a period of the motion: their squares are correlated by a quarter.
         share = 1.0 / (1.0 + 0.5 * max(1.0 - r.lag / length, 0.0)) if periodic else 1.0
-        out.append(Piece(times, _detrended(times, values), weight, 2.0, lowest, share * _kept(edge[:, 0]), known, a.settings))
+        kept = share * _kept(edge[:, 0] * used)
+        out.append(Piece(times, _detrended(times, values, used), weight, 2.0, lowest, kept, known, a.settings))
     return out
 
 
@@ -160,9 +162,10 @@ def _kept(weight: np.ndarray) -> float:
     return float(np.sum(weight**2) ** 2 / (len(weight) * np.sum(weight**4)))
 
 
-def _detrended(times: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _detrended(times: np.ndarray, values: np.ndarray, used: np.ndarray | slice = slice(None)) -> np.ndarray:
+    """Values (N, c) less the line through those that are used."""
     line = np.vander((times - times.mean()) / np.ptp(times), 2)
-    return values - line @ np.linalg.lstsq(line, values, rcond=None)[0]
+    return values - line @ np.linalg.lstsq(line[used], values[used], rcond=None)[0]
 
 
 def measured_spectrum(pieces: Sequence[Piece]) -> NoiseSpectrum | None:
@@ -259,10 +262,12 @@ def coloured(pieces: Sequence[Piece], white: np.ndarray, channels: Sequence[int]
         pieces_ = max(int((p.times[-1] - p.times[0]) / p.settings.window), 1)
         edges = np.linspace(0, len(signal), pieces_ + 1).astype(int)[:-1]
         expected = np.add.reduceat(share * (white**2 + known), edges)
-        ratios.append(np.add.reduceat(signal**2, edges) / np.maximum(expected, 1e-300))
-    if not ratios:
-        return False
-    return bool(np.any(np.median(np.concatenate(ratios), axis=0)[list(channels)] > pieces[0].settings.coloured_ratio))
+        # What has hardly any weight says nothing, and what is beside it rings there.
+        seen = np.add.reduceat(p.weight**2, edges) > 0.5 * np.diff([*edges, len(signal)])[:, None]
+        ratios.append(np.where(seen, np.add.reduceat(signal**2, edges) / np.maximum(expected, 1e-300), np.nan))
+    every = np.concatenate(ratios or [np.zeros((0, len(white)))])
+    each = [column[np.isfinite(column)] for column in every.T[list(channels)]]
+    return any(len(column) > 0 and np.median(column) > pieces[0].settings.coloured_ratio for column in each)
 
 
 def _own(segments: Sequence[SpectralSegment], repeats: Sequence[Repeat], pieces: Sequence[Piece]) -> dict[str, NoiseSpectrum]:

@@ -166,19 +166,26 @@ class SpectralSegment:
         return flat.reshape(-1, *samples.shape[1:]) * np.sqrt(len(self.times) / len(samples))
 
     def weight(self, times: np.ndarray) -> np.ndarray:
-        """Weight of times in every channel (k, c): the taper at both ends, what `mobile` says, and what is left out."""
-        out = taper(times, self.times, self.trajectory.bandwidth, self.settings)[:, None] * self.mobile(times)
+        """Weight of times in every channel (k, c): the taper at both ends, and what `determined` says."""
+        return taper(times, self.times, self.trajectory.bandwidth, self.settings)[:, None] * self.determined(times)
+
+    def determined(self, times: np.ndarray) -> np.ndarray:
+        """How far the model determines a reading (k, c).
+
+        A joint at rest may stick, and its drive then holds anything; nor is a reading determined in a time that is left out.
+        """
+        out = np.ones((len(times), self.readings.shape[1]))
+        for channel, joint in self.torque_channels:
+            out[:, channel] = np.interp(times, self.trajectory.times, self._moving[:, joint])
         if self.left_out is not None:
             start, end = self.left_out
             out *= np.sin(0.5 * np.pi * np.clip(np.maximum(start - times, times - end) / _FLANK, 0.0, 1.0))[:, None] ** 2
         return out
 
-    def mobile(self, times: np.ndarray) -> np.ndarray:
-        """How far a reading is determined (k, c): a joint at rest may stick, and its drive then holds anything."""
-        out = np.ones((len(times), self.readings.shape[1]))
-        for channel, joint in self.torque_channels:
-            out[:, channel] = np.interp(times, self.trajectory.times, self._moving[:, joint])
-        return out
+    def used(self, times: np.ndarray) -> np.ndarray:
+        """Which times are not left out (k,)."""
+        start, end = self.left_out or (np.inf, -np.inf)
+        return (times < start) | (times > end)
 
     @cached_property
     def _moving(self) -> np.ndarray:

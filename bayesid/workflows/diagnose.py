@@ -16,7 +16,7 @@ from bayesid.arguments import argument, names
 from bayesid.design.tell.choose import tell_effects, tell_search
 from bayesid.design.tell.rivals import parse_effects
 from bayesid.diagnosis.changes.findings import compare_with_reference
-from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.data import WHITE, DiagnosisData
 from bayesid.diagnosis.description.describe import describe, stands_alone
 from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.in_part import InPart, proven_effects
@@ -164,8 +164,10 @@ def diagnose(
                 raise InputError(f"{argument('tell')}: only poses at rest are fitted, which say nothing of a motion's noise")
         suspected = find_push(fit(make_projector(whole, whole.terms), whole.terms)) if channel == "wrench" else None
         result = searched(whole)
-        # What pushed with a constant force may have wavered: so much that it is worth a course?
-        if suspected and (result.verdict == "unknown" or any(f.term.effect.once for f in result.sure.found)):
+        # What pushed with a constant force may have wavered: so much that it is worth a course? A floor that repeats or the
+        # library leave may hold the push.
+        hidden = result.verdict == "nothing_missing" and result.search.projector.data.floor_source != WHITE
+        if suspected and (hidden or result.verdict == "unknown" or any(f.term.effect.once for f in result.sure.found)):
             push = find_push(result.search.base, result.search.best)
         if push is not None:
             progress("without the time of a push")

@@ -51,7 +51,7 @@ def recorded(tmp_path_factory):
         made = []
         roles = (("one", "identification", fitted), ("two", "validation", unseen))[:motions]
         for k, (name, role, add) in enumerate(roles):
-            moved = fourier(robot, 40 + k, duration=10.0, rate=100.0)  # one period: what repeats would be noise
+            moved = fourier(robot, 40 + k, duration=10.0, rate=100.0)  # one period
             table = recording(robot, Sensor(), moved, seed=k, **NOISE)
             if add is not None:
                 table = replace(table, wrench=table.wrench + add(folder, moved[0], moved[1]))
@@ -166,3 +166,19 @@ def test_it_is_named_and_shown(recorded, tmp_path):
     found.write(tmp_path)
     assert "in base axes, with its 95 % band" in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "external_contact@joint2" in (tmp_path / "model.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("shift", [0.0, 5.0])
+def test_a_hand_in_one_of_two_periods_is_no_noise(recorded, shift):
+    """Whether in the first or across both, it fills most of what is compared; the noise is then read without it."""
+    made = recorded()
+    robot = made.robot
+    moved = fourier(robot, 40, duration=20.0, rate=100.0)
+    table = recording(robot, Sensor(), moved, seed=0, **NOISE)
+    hand = carried(robot.urdf.parent, moved[0], moved[1], 4.0 * course(moved[0] - shift))
+    pushed_one = Motion("one", "identification", replace(table, wrench=table.wrench + hand))
+    diagnosis = bayesid.diagnose(replace(made, motions=(pushed_one, made.motions[1])), progress=None)
+    assert diagnosis.verdict == "named" and diagnosis.data.floor_source == "white noise above the band"
+    (found,) = diagnosis.found
+    assert found.term.effect.spec == "external_contact@joint2"
+    np.testing.assert_allclose(found.term.values[5:], POINT, atol=0.01)
