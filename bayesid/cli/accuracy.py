@@ -36,12 +36,12 @@ def accuracy(
         raise InputError(f"--{unused[0]} is for --certificate; add that, or leave it out")
     counted = (400 if twins is None else twins) if certificate else 0
     with shared.running("accuracy", out) as run:
-        filters, chosen = shared.low_pass(filter_l, filter_d), None if method is None else bayesid.estimator(method)
+        filters = shared.low_pass(filter_l, filter_d)
         loaded = shared.load(experiment, model, effects_from)
         written = None
         if estimate is not None:
-            written, chosen = check_estimate(estimate, loaded, chosen)
-        chosen = shared.bounded(chosen, bounds, loaded)
+            written, method = check_estimate(estimate, loaded, method)
+        chosen = shared.bounded(method, bounds, loaded)
         with run.resumable(loaded.name) as kept:
             result = bayesid.accuracy(
                 loaded, method=chosen, low_pass=filters, certificate=counted, kept=kept, resume=resume,

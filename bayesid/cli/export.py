@@ -19,8 +19,8 @@ from bayesid.cli.options import FILE, OUT, SEED, names, running
 )  # fmt: skip
 @OUT
 @SEED
-def export(result, to, draws, out, seed) -> None:
+def export(result, to, out, **options) -> None:
     """Hand an identified robot on: RESULT is a folder that identify or sample wrote."""
     with running("export", out) as run:
-        exported = bayesid.export(result, to, draws=draws, seed=seed, progress=run.progress)
+        exported = bayesid.export(result, to, progress=run.progress, **options)
         run.finish(exported, exported.name)

@@ -23,9 +23,8 @@ def identify(experiment, filter_l, filter_d, model, effects_from, method, bounds
     """Base parameters with their uncertainty, link parameters, and held-out validation."""
     with shared.running("identify", out) as run:
         filters = shared.low_pass(filter_l, filter_d)
-        chosen = None if method is None else bayesid.estimator(method)
         loaded = shared.load(experiment, model, effects_from)
-        chosen = shared.bounded(chosen, bounds, loaded)
+        chosen = shared.bounded(method, bounds, loaded)
         result = bayesid.identify(loaded, method=chosen, low_pass=filters, progress=run.progress, **options)
         report = run.write(result, loaded.name)
     say(bayesid.summary(result), result.warnings)

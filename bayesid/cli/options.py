@@ -17,6 +17,7 @@ from bayesid.errors import InputError
 
 if TYPE_CHECKING:
     from bayesid.effects import EffectLibrary
+    from bayesid.estimators import Estimator
     from bayesid.recordings.experiment import Experiment
     from bayesid.results.files import Result
     from bayesid.signals.filters import LowPass
@@ -99,7 +100,14 @@ def one_method(command: Callable) -> Callable:
     from bayesid.estimators import DEFAULT_METHOD, METHODS  # not of every verb: that takes time
 
     told = f"{', '.join(METHODS)}  [default: {DEFAULT_METHOD}; with a mount that rings, gls]"
-    return click.option("--method", help=told)(command)
+    return click.option("--method", callback=as_estimator, help=told)(command)
+
+
+def as_estimator(_context, _parameter, name: str | None) -> Estimator | None:
+    """The estimator that an option names."""
+    from bayesid.estimators import estimator
+
+    return None if name is None else estimator(name)
 
 
 def names(_context, _parameter, value: str | None) -> list[str] | None:

@@ -20,16 +20,11 @@ _TWO = numbers("give two numbers, KG,M, such as 0.005,0.001", 2)
 @click.option("--next", "target", callback=_TWO, help="KG,M: half intervals wanted; proposes poses that reach them.")
 @click.option("--diagnosis/--no-diagnosis", default=True, help="Look for what else is in the readings.")
 @diagnosis_options
-def payload(
-    experiment, reference, channel, motions, effects, joint, frame, extent, target, diagnosis, model, effects_from, out, seed
-) -> None:
+def payload(experiment, reference, model, effects_from, out, **options) -> None:
     """Mass, centre of mass and inertia of what the last link carries, in the forms that controllers take."""
     with running("payload", out) as run:
         loaded = load(experiment, model, effects_from)
         known = None if reference is None else load(reference, model, effects_from)
-        result = bayesid.payload(
-            loaded, channel, reference=known, motions=motions, effects=effects, joint=joint, frame=frame, extent=extent,
-            target=target, diagnosis=diagnosis, seed=seed, progress=run.progress,
-        )  # fmt: skip
+        result = bayesid.payload(loaded, reference=known, progress=run.progress, **options)
         files = ", ".join(result.exports())
         run.finish(result, loaded.name, *[f"for controllers: {files} in {{folder}}"] * bool(files))

@@ -21,15 +21,12 @@ from bayesid.errors import EstimationError
 @shared.on_workers
 @shared.OUT
 @shared.SEED
-def watch(reference, recordings, channel, motions, effects, model, effects_from, out, seed, workers, scheduler) -> None:
+def watch(reference, recordings, model, effects_from, out, **options) -> None:
     """A series of RECORDINGS against one REFERENCE of the same robot: what changed, and when."""
     with shared.running("watch", out) as run:
         known = shared.load(reference, model, effects_from)
         series = [shared.load(folder, model, effects_from) for folder in recordings]
-        result = bayesid.watch(
-            known, series, channel, motions=motions, effects=effects, seed=seed, workers=workers,
-            scheduler=scheduler, progress=run.progress, tell=say,
-        )  # fmt: skip
+        result = bayesid.watch(known, series, progress=run.progress, tell=say, **options)
         report = run.write(result, known.name)
     for sentence in result.sentences():
         say(f"  {sentence}.")
