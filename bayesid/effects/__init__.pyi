@@ -1,5 +1,5 @@
-from .effect import Effect, Linearisation, Parameter, Surroundings, Term
-from .exact import columns, readings, rigid_columns
+from .effect import Effect, Linearisation, Parameter, Surroundings, Term, with_places
+from .exact import Point, columns, linearised, reach_of, readings, rigid_columns, starting_point, stated_of
 from .expressions import variables
 from .families import (
     BodyEffect,
@@ -21,7 +21,6 @@ from .families import (
     TransmissionEffect,
 )
 from .library import EffectLibrary, load_effects
-from .linearised import Point, linearised, reach_of, starting_point, stated_of
 from .loads import ExternalContact
 from .model import Model
 from .segment import REST_SPEED, MotionSegment, middle_of
@@ -65,4 +64,5 @@ __all__ = [
     "starting_point",
     "stated_of",
     "variables",
+    "with_places",
 ]

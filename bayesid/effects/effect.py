@@ -8,7 +8,7 @@ a method of its family (`bayesid.effects.families`). Everything else asks the cl
 from __future__ import annotations
 
 from abc import ABC
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import product
@@ -291,6 +291,13 @@ class Effect(ABC):
     def from_harmonic(self, order: float, sine: float, cosine: float) -> tuple[float, ...]:
         """Values (k,) of ``sine sin(order q) + cosine cos(order q)``, where the effect has `harmonics`."""
         raise NotImplementedError(f"{self.spec} is no sine of the joint's position")
+
+
+def with_places(effects: Iterable[Effect]) -> Iterator[tuple[Effect, slice]]:
+    """Each effect, and where its parameters stand among those of all, one effect after the other."""
+    first = 0
+    for effect in effects:
+        yield effect, slice(first, first := first + len(effect.parameters))
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from bayesid.dynamics.base_parameters import nearest_links
-from bayesid.effects import Point, Surroundings
+from bayesid.effects import Point, Surroundings, with_places
 from bayesid.effects.surroundings import surroundings_of
 from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, Huber, Physical, Student, estimator, fit
@@ -69,9 +69,8 @@ def _found(problem: Problem, method: str | Estimator) -> Fitted:
 
 def _started(problem: Problem) -> Problem:
     """The problem linearised where the best trial of effects that ring is; the same where a value is stated or found already."""
-    first = 0
-    for effect in problem.row_model.effects:
-        own, point = slice(first, first := first + len(effect.parameters)), problem.row_model.point
+    for effect, own in with_places(problem.row_model.effects):
+        point = problem.row_model.point
         assert point is not None
         if effect.settling > 0.0 and point.free[own].all() and tuple(point.values[own]) == effect.starts:
             tried = [problem]

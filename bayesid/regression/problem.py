@@ -12,7 +12,7 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import BaseParameters, structural_base
 from bayesid.dynamics.channels import Channels
-from bayesid.effects import Effect, EffectLibrary, Point, middle_of, starting_point, stated_of
+from bayesid.effects import Effect, EffectLibrary, Point, middle_of, starting_point, stated_of, with_places
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion, motions_named
 from bayesid.regression.bandwidth import LOWEST, BandwidthChoice, choose_bandwidth
@@ -121,12 +121,9 @@ def _point(experiment: Experiment, base: BaseParameters, effects: tuple[Effect, 
         return None
     links = experiment.robot.nominal
     absorbed = absorbed_offset(base, links)
-    start = 0
-    for effect in effects:
-        count = len(effect.parameters)
+    for effect, places in with_places(effects):
         if effect.absorbs_weight:
-            values[start : start + count] += absorbed
-        start += count
+            values[places] += absorbed
     middle = next((middle_of(s.positions) for s in fitted if not s.poses), None)  # of the first motion
     return Point(links, base.matrix @ links.ravel(), values, free, absorbed, middle)
 

@@ -13,7 +13,7 @@ import numpy as np
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.regressors import Kernel
-from bayesid.effects import Effect, MotionSegment, Point, Term, linearised, reach_of, readings
+from bayesid.effects import Effect, MotionSegment, Point, Term, linearised, reach_of, readings, with_places
 from bayesid.regression.segment import Segment
 from bayesid.robot.robot import Robot
 from bayesid.signals.filters import LowPass
@@ -136,12 +136,9 @@ class RowModel:
 
     def _columns(self, effects: tuple[Effect, ...], state: MotionSegment, offset: bool) -> np.ndarray:
         out = np.zeros((len(state.times), len(self.channels), sum(len(e.column_names) for e in effects)))
-        first = 0
-        for effect in effects:
-            last = first + len(effect.column_names)
+        for effect, places in with_places(effects):
             if offset or not effect.removed_by_static_run:
-                out[:, :, first:last] = effect.motion_columns(state, self.channels.names)
-            first = last
+                out[:, :, places] = effect.motion_columns(state, self.channels.names)
         return out
 
     def around(self, segment: Segment, first: int, last: int, terms: Sequence[Term]) -> tuple[int, int]:

@@ -25,8 +25,7 @@ from scipy.linalg import expm
 from bayesid.arguments import argument
 from bayesid.dynamics.channels import WRENCH_NAMES, Channels, torque_channels, wrench_channels
 from bayesid.effects import REST_SPEED, Effect, EffectLibrary, EncoderEffect, MotionSegment, Term, TransmissionEffect, middle_of
-from bayesid.effects.exact import readings
-from bayesid.effects.linearised import reach_of, stated_of
+from bayesid.effects.exact import reach_of, readings, stated_of
 from bayesid.effects.sizes import ANY_EFFORT
 from bayesid.effects.torque_chain import coupling_matrix
 from bayesid.errors import InputError, require_seed

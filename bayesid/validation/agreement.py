@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.dynamics.base_parameters import structural_base
-from bayesid.effects import starting_point, stated_of
+from bayesid.effects import starting_point, stated_of, with_places
 from bayesid.errors import BayesidError
 from bayesid.estimators import Estimate, Estimator, fit
 from bayesid.estimators.factor import reduce_scaled
@@ -155,12 +155,10 @@ def _at_nominal(problem: Problem) -> Problem:
     row_model, links = problem.row_model, problem.experiment.robot.nominal
     if row_model.point is None:
         return problem
-    absorbed, start = absorbed_offset(row_model.base, links), 0
-    values = row_model.point.values.copy()
-    for effect in row_model.effects:
+    absorbed, values = absorbed_offset(row_model.base, links), row_model.point.values.copy()
+    for effect, places in with_places(row_model.effects):
         if effect.absorbs_weight:
-            values[start : start + len(effect.parameters)] += absorbed - row_model.point.absorbed
-        start += len(effect.parameters)
+            values[places] += absorbed - row_model.point.absorbed
     base = row_model.base.matrix @ links.ravel()
     return relinearised(problem, replace(row_model.point, links=links, base=base, values=values, absorbed=absorbed))
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from bayesid.arguments import argument, call
-from bayesid.effects import Effect
+from bayesid.effects import Effect, with_places
 from bayesid.effects.segment import late_start
 from bayesid.estimators import Estimate
 from bayesid.estimators.prior_check import PriorCheck, conflicts
@@ -270,9 +270,8 @@ def not_settled(problem: Problem, estimate: Estimate) -> list[str]:
         return []
     values, stds = point.values.copy(), np.full(len(point.values), np.inf)
     values[point.free], stds[point.free] = estimate.solution[estimate.base.rank :], estimate.full_std[estimate.base.rank :]
-    out, first = [], 0
-    for effect in problem.row_model.effects:
-        part = slice(first, first := first + len(effect.parameters))
+    out = []
+    for effect, part in with_places(problem.row_model.effects):
         if not effect.shape or not point.free[part].any():
             continue
         away = np.abs(values[part] - point.values[part])
