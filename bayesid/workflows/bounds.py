@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -217,18 +216,15 @@ def bounds(
     if not isinstance(source, (ExperimentPosterior, Identification)):
         source = as_experiment(source, "a posterior or an identification")
     planned = _planned(trajectory, source.robot if isinstance(source, Experiment) else source.problem.experiment.robot)
-    if run is not None and isinstance(source, Experiment):
-        with one_blas_thread():
-            known, warned = _known_from_run(source, Path(run), chosen, prior_std, seed)
-    else:
-        if isinstance(source, Experiment):
-            clock("posterior or estimate")
-            source = _fitted(source, method, prior_std, seed, clock, chosen)
-        clock("links that can exist")
-        with one_blas_thread():
-            known = _known(source, prior_std, seed)
-        warned = source.warnings
     with one_blas_thread():
+        if run is not None and isinstance(source, Experiment):
+            known, warned = _known_from_run(source, Path(run), chosen, prior_std, seed)
+        else:
+            if isinstance(source, Experiment):
+                clock("posterior or estimate")
+                source = _fitted(source, method, prior_std, seed, clock, chosen)
+            clock("links that can exist")
+            known, warned = _known(source, prior_std, seed), source.warnings
         return _bounded(known, warned, planned, urdfs, configurations, seed, clock)
 
 
@@ -292,12 +288,15 @@ def _known_of_loaded(
     if document["experiment"] != experiment.name:
         other = document["experiment"]
         raise InputError(f"{file}: is of experiment '{other}', not of '{experiment.name}'; name a run of this one")
-    filters = document["filter"]["l"] and LowPass(document["filter"]["l"], document["filter"]["d"])
-    fitted = {"channel": document["channel"], "low_pass": filters, "motions": tuple(document["motions"])}
+    filters = document["filter"]
+    low_pass = None if filters["l"] is None else LowPass(filters["l"], filters["d"])
+    fitted = {"channel": document["channel"], "low_pass": low_pass, "motions": tuple(document["motions"])}
     for name, value in fitted.items():
         if name in options.given() and getattr(options, name) != value:
             raise InputError(f"{file}: was fitted with another {argument(name)}; leave that out, or run it again with it")
-    problem = _prepared(experiment, document, options)
+    static = "joint" if "joint" in (document.get("static", "none"), options.static) else "motion"
+    bandwidth = options.bandwidth or filters.get("bandwidth_hz")
+    problem = prepare(experiment, FitOptions(**fitted, effects=options.effects, static=static, bandwidth=bandwidth))
     base, effects = problem.row_model.base, problem.regression.effect_names
     names = [p["name"] for p in (*document["base_parameters"], *document["effect_parameters"])]
     if names != [*base.names, *effects]:
@@ -320,20 +319,6 @@ def _known_of_loaded(
         centre=nearest_links(experiment.robot, base, e.values, ~e.undetermined[: base.rank]), urdf=found.link_parameters,
         dynamics=found.dynamics, rel_std=prior_std, conflict=bool((document["prior_against_data"] or {}).get("conflict")),
         dispersion=e.details.dispersion or 1.0, floor=noise_floor(problem), count=DRAWS, seed=seed,
-    )  # fmt: skip
-
-
-def _prepared(experiment: Experiment, document: Mapping[str, Any], options: FitOptions) -> Problem:
-    """The experiment made ready as an earlier run did."""
-    filters = document["filter"]
-    static = document.get("static", "none")
-    return prepare(
-        experiment,
-        FitOptions(
-            document["channel"], None if filters["l"] is None else LowPass(filters["l"], filters["d"]), document["motions"],
-            options.effects, "joint" if "joint" in (static, options.static) else "motion",
-            options.bandwidth or filters.get("bandwidth_hz"),
-        ),
     )  # fmt: skip
 
 

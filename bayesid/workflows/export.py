@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -217,14 +218,6 @@ def _of_robot(values: Mapping[str, tuple[float, str]]) -> dict[str, tuple[float,
     }  # fmt: skip
 
 
-def _cpp(found: IdentifiedRobot, made: _Making) -> None:
-    _add_code("cpp", "inverse_dynamics.hpp", ", C++17", cpp_header, found, made)
-
-
-def _numpy(found: IdentifiedRobot, made: _Making) -> None:
-    _add_code("numpy", "inverse_dynamics.py", "", numpy_module, found, made)
-
-
 def _add_code(
     form: str, file: str, what: str, written: Callable[[IdentifiedRobot, InverseDynamics], str], found: IdentifiedRobot,
     made: _Making,
@@ -262,8 +255,13 @@ def _ranges(found: IdentifiedRobot, made: _Making) -> None:
 
 #: What a robot can be exported as, and the function that does it.
 FORMS: dict[str, Callable[[IdentifiedRobot, _Making], None]] = {
-    "mjcf": _mjcf, "urdf": _urdf, "sdf": _sdf, "cpp": _cpp, "numpy": _numpy, "ranges": _ranges,
-}  # fmt: skip
+    "mjcf": _mjcf,
+    "urdf": _urdf,
+    "sdf": _sdf,
+    "cpp": partial(_add_code, "cpp", "inverse_dynamics.hpp", ", C++17", cpp_header),
+    "numpy": partial(_add_code, "numpy", "inverse_dynamics.py", "", numpy_module),
+    "ranges": _ranges,
+}
 
 
 def _draw(found: IdentifiedRobot, forms: Sequence[str], count: int, seed: int, made: _Making) -> None:
