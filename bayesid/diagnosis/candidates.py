@@ -13,11 +13,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import chndtrinc
 
 from bayesid.diagnosis.contacts import contact_terms
 from bayesid.diagnosis.data import DiagnosisData, OneValue, residual_rows, term_rows
 from bayesid.diagnosis.fit import Fit
+from bayesid.diagnosis.grams import schwarz
 from bayesid.diagnosis.projector import NuisanceProjector, Span, orthonormal
+from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.effects import Effect, ExternalContact, Linearisation, Surroundings, Term
 from bayesid.effects.surroundings import surroundings_of
@@ -84,8 +87,9 @@ class Proposal:
     term: Term  # the effect and its values
     gain: float  # what it explains at most, in units of chi2
     parameters: int  # how many amplitudes that took
-    #: Size of its first parameter that would stand out by five standard deviations of the noise; None where it has no amplitude.
-    minimum: float | None = None
+    #: By how many standard deviations of the noise a unit of each parameter alone changes the readings, beside all else; nan of a
+    #: shape. Empty where the effect has no amplitude.
+    lengths: tuple[float, ...] = ()
     others: tuple[Term, ...] = ()  # other values to start from
     #: Whether the gain is that of values tried as they are, a lower bound of what a fit gains; columns give an upper bound.
     tried: bool = False
@@ -119,7 +123,7 @@ class Library:
 
     def propose(self, fit: Fit) -> list[Proposal]:
         """Proposals beside the effects of a fit, best gain first; one for each effect and place."""
-        projector, data = self.projector, self.projector.data
+        projector = self.projector
         found = orthonormal(projector.columns(fit.jacobian))
         left = projector.project_out(np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)]))
         left = left - found @ (found.T @ left)
@@ -130,14 +134,14 @@ class Library:
             if name in taken:
                 continue
             amplitudes, gain, count = _explained(rows, left)
+            counted = rows
             if first := self._before[block.effect]:
                 others = Span.of(np.hstack([beside[k] for k in first]))
-                _, gain, count = _explained(others.project_out(rows), others.project_out(left))
+                counted = others.project_out(rows)
+                _, gain, count = _explained(counted, others.project_out(left))
             if name not in best or gain - _cost(count) > best[name].gain - _cost(best[name].parameters):
-                length = float(np.linalg.norm(rows[:, 0]))
-                minimum = data.settings.detected / length if length > 0 else None
                 starts = [Term(block.effect, _inside(block.effect, v)) for v in np.atleast_2d(block.about.to_values(amplitudes))]
-                best[name] = Proposal(starts[0], gain, count, minimum, tuple(starts[1:]))
+                best[name] = Proposal(starts[0], gain, count, _lengths(block, counted), tuple(starts[1:]))
         shaped = [([t], gain) for t, gain in self._ripples(fit, left, found)]
         contacts = contact_terms(projector, fit, left[: projector.length]) if ExternalContact in map(type, self.effects) else ()
         for terms, gain in [*shaped, *contacts]:
@@ -348,7 +352,27 @@ def _better(own: Proposal | None, terms: Sequence[Term], gain: float) -> Proposa
     """A proposal, or another start of its effect if that gains more."""
     if own is not None and gain <= own.gain:
         return own
-    return Proposal(terms[0], gain, len(terms[0].values), own.minimum if own else None, tuple(terms[1:]))
+    return Proposal(terms[0], gain, len(terms[0].values), own.lengths if own else (), tuple(terms[1:]))
+
+
+def least_visible(settings: Settings, parameters: int, rows: int, dispersion: float) -> float:
+    """How far an effect of so many parameters has to change the readings to be named, in standard deviations of the noise.
+
+    That is where it is named half of the time: its gain in chi2, in units of the dispersion, is noncentral chi-squared with as
+    many degrees of freedom, and the median of that is what an effect has to bring and its parameters cost.
+    """
+    needed = 2.0 * (settings.accept + schwarz(parameters, rows) / dispersion)
+    return float(np.sqrt(dispersion * chndtrinc(needed, parameters, 0.5)))
+
+
+def _lengths(block: _Block, rows: np.ndarray) -> tuple[float, ...]:
+    """Length of what a unit of each parameter alone changes, by the effect's columns (rows, k); nan of those that are a shape."""
+    linear, about = np.array([p.linear for p in block.effect.quantities]), block.about
+    units = np.eye(len(linear))[:, linear | ~linear.any()]
+    amplitudes = [about.to_amplitudes(about.at + unit) - about.to_amplitudes(about.at) for unit in units.T]
+    out = np.full(len(linear), np.nan)
+    out[units.any(axis=1)] = np.linalg.norm(rows @ np.transpose(amplitudes), axis=0)
+    return tuple(map(float, out))
 
 
 def _promise(proposal: Proposal) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesid.diagnosis.candidates import Library
+from bayesid.diagnosis.candidates import Library, least_visible
 from bayesid.effects import Effect
 from bayesid.regression.linalg import orthonormal_basis
 
@@ -23,8 +23,7 @@ class Visible:
     effect: Effect  # which, and where
     parameter: int  # index of the parameter by which its size is told
     usual: float  # a usual size of that parameter; the others have theirs in proportion
-    #: Size whose trace, less what the links could explain, stands out by five standard deviations; None where no plausible size
-    #: does.
+    #: Size whose trace, less what the links could explain, is named half of the time; None where no plausible size is.
     seen: float | None
     most_collinear: Effect | None  # the effect elsewhere in the library whose trace is most like it; None without any other
     share: float  # part of the trace's energy that the most_collinear would explain, at its best values
@@ -36,11 +35,10 @@ def visible(library: Library, dispersion: float) -> tuple[Visible, ...]:
 
     With the whitened columns of two effects, links projected out, the trace z of the first at its usual values, and an
     orthonormal basis Q of the second, the second explains ``|Q' z|^2 / |z|^2`` of it. The usual size has a length of |z|
-    standard deviations, so ``5 / |z|`` of it is seen and ``5 / (|z| sqrt(1 - share))`` of it told apart: standard deviations of
-    the noise, larger by the root of the ``dispersion``, the mean square that no effect explains.
+    standard deviations, so ``d / |z|`` of it is seen and ``d / (|z| sqrt(1 - share))`` of it told apart, with d of
+    `least_visible` beside the ``dispersion``, the mean square that no effect explains.
     """
-    robot = library.projector.data.robot
-    detected = library.projector.data.settings.detected * float(np.sqrt(dispersion))
+    robot, settings = library.projector.data.robot, library.projector.data.settings
     if not library.blocks:
         return ()
     traces = np.stack([b.rows @ b.about.to_amplitudes(np.array(b.effect.typical(robot), float)) for b in library.blocks], axis=1)
@@ -59,7 +57,8 @@ def visible(library: Library, dispersion: float) -> tuple[Visible, ...]:
         others = [i for i, s in enumerate(specs) if s != specs[k]]
         nearest = others[int(np.argmax(whole[others, k]))] if others else None
         share = 0.0 if nearest is None else float(np.clip(whole[nearest, k], 0.0, 1.0))
-        seen = detected / float(lengths[k]) * size if lengths[k] > 0 and size > 0 else None
+        needed = least_visible(settings, bases[k].shape[1], library.projector.rows, dispersion)
+        seen = needed / float(lengths[k]) * size if lengths[k] > 0 and size > 0 else None
         seen = None if seen is None or seen > _ABSURD * size else seen
         named = None if seen is None or share > _SAME else seen / float(np.sqrt(1.0 - share))
         named = None if named is None or named > _ABSURD * size else named

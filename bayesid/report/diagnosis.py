@@ -321,8 +321,8 @@ def _visible(d: Diagnosis, views: Views) -> ShownSection:
     """Sizes from which effects would be seen, and told apart."""
     unseen = " **Anything smaller may be there unseen.**" if d.verdict == "nothing_missing" else ""
     parts: list[Part] = [
-        "Sizes from which an effect would stand out by five standard deviations beside all that the links could do, and from "
-        f"which it would do so beside the effect that looks most like it, too.{unseen}"
+        "Sizes from which an effect would be named half of the time beside all that the links could do, and from which it would "
+        f"be so beside the effect that looks most like it, too.{unseen}"
     ]
     if views.visible:
         alike = _look_alikes(views)

@@ -28,7 +28,7 @@ def calibration_report(result: Calibration) -> str:
     sections = [
         ShownSection("What it has", [
             result.table,
-            note("Of what was not found stands the size that would stand out by five standard deviations, at the place where it "
+            note("Of what was not found stands the size from which it would be named half of the time, at the place where it "
                  "would stand out least."),
             figure(svg(measured_against_predicted(result.fit.fitted[0]), "readings"),
                    "Readings, measured and by the model with all that was found."),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.design.tell.choose import Telling
-from bayesid.diagnosis.candidates import Proposal
+from bayesid.diagnosis.candidates import Proposal, least_visible
 from bayesid.diagnosis.data import DiagnosisData, Episode
 from bayesid.diagnosis.description.describe import Description
 from bayesid.diagnosis.gap import LEAST_GAP
@@ -194,9 +194,12 @@ class Diagnosis(ShownResult):
         each = float(np.log(self.search.projector.rows))
         return 0.5 * (proposal.gain / self.search.dispersion - proposal.parameters * each)
 
-    def least_visible(self, proposal: Proposal) -> float | None:
-        """Size of an effect's first parameter that stands out by five standard deviations, of what no effect explains, too."""
-        return None if proposal.minimum is None else proposal.minimum * float(np.sqrt(self.search.dispersion))
+    def least_visible(self, proposal: Proposal) -> dict[str, float]:
+        """Size of each parameter alone from which an effect is named half of the time, where there is one."""
+        search = self.search
+        least = least_visible(self.data.settings, proposal.parameters, search.projector.rows, search.dispersion)
+        each = zip(proposal.term.effect.parameters, proposal.lengths, strict=False)  # none of an effect without amplitude
+        return {name: least / length for name, length in each if length > 0.0}
 
     def to_dict(self) -> dict[str, Any]:
         """What ``diagnosis.json`` holds."""
@@ -208,7 +211,7 @@ class Diagnosis(ShownResult):
             "description": None if self.description is None else description_dict(self.description, self.data.channels.names),
             "candidates": [
                 {"name": p.term.effect.name, "where": p.term.effect.where, "log_bayes_factor": self.evidence(p),
-                 "minimum_detectable": self.least_visible(p)}
+                 "minimum_detectable": self.least_visible(p).get(p.term.effect.parameters[0])}
                 for p in self.search.proposals
             ],
             "identification": {

@@ -349,7 +349,7 @@ class HiddenEffect:
 
     kind: str  # a key of `KINDS`
     spec: str  # ``name@where``, of the places where it would stand out least
-    #: The size of its first parameter that stands out by five standard deviations.
+    #: The size of one of its parameters from which it is named half of the time; infinite where no plausible size is.
     parameter: str
     size: float
     unit: str
@@ -458,7 +458,9 @@ class Calibration(ShownResult):
                 remark = f"or {', '.join(rivals)}" if rivals and k == 0 else ""
                 out.append([f"{spec} {q.name}", *cells(q), q.unit, remark])
         for h in self.hidden:
-            out.append([KINDS[h.kind], "not found", f"< {number(h.size, 2)}", h.unit, f"{h.spec} {h.parameter}"])
+            seen = np.isfinite(h.size)
+            size = [f"< {number(h.size, 2)}", h.unit] if seen else ["any size", ""]
+            out.append([KINDS[h.kind], "not found", *size, f"{h.spec} {h.parameter}"])
         for label, q in (("mass carried", self.mass), *((f"centre of mass {q.name}", q) for q in self.centre),
                          ("common gain of the forces", self.common_gain)):  # fmt: skip
             if q is not None:
@@ -480,7 +482,8 @@ class Calibration(ShownResult):
                 for spec, quantities in self.found.items()
             ],
             "could_hide": [
-                {"kind": h.kind, "least_visible": h.spec, "parameter": h.parameter, "size": h.size, "unit": h.unit}
+                {"kind": h.kind, "least_visible": h.spec, "parameter": h.parameter, "unit": h.unit,
+                 "size": h.size if np.isfinite(h.size) else None}
                 for h in self.hidden
             ],
             "mass": None if self.mass is None else self.mass.to_dict(),

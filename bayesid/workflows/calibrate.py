@@ -157,20 +157,22 @@ def _quantities(fit: Identification) -> dict[str, tuple[Quantity, ...]]:
 
 
 def _hidden(found: Diagnosis, fit: Identification, alone: bool) -> tuple[HiddenEffect, ...]:
-    """Kinds that the model does not have, where they would stand out least."""
+    """Kinds that the model does not have, each parameter where it would stand out least."""
     there = {name.partition("@")[0] for name in _quantities(fit)}
-    out: dict[str, HiddenEffect] = {}
+    out: dict[tuple[str, str, str], HiddenEffect] = {}
     for p in found.search.proposals:
-        effect = p.term.effect
-        size = found.least_visible(p)
-        if effect.name not in KINDS or effect.name in there or size is None or not np.isfinite(size):
+        effect, sizes = p.term.effect, found.least_visible(p)
+        if effect.name not in KINDS or effect.name in there or not sizes:
             continue
         if alone and effect.name == "sensor_translation":  # it is another centre of mass
             continue
-        if effect.name not in out or size > out[effect.name].size:
-            unit, name = effect.units[0], effect.parameters[0]
-            out[effect.name] = HiddenEffect(effect.name, effect.spec, name, size, unit)
-    return tuple(out[k] for k in KINDS if k in out)
+        for name, unit, least, most in zip(effect.parameters, effect.units, effect.lower, effect.upper, strict=True):
+            size = sizes.get(name, np.inf)
+            size = size if size <= max(-least, most) else np.inf  # no plausible size is seen
+            key = effect.name, name, unit  # cross-talk from forces to moments is a length
+            if key not in out or size > out[key].size:
+                out[key] = HiddenEffect(effect.name, effect.spec, name, size, unit)
+    return tuple(h for kind in KINDS for h in out.values() if h.kind == kind)
 
 
 def _load(fit: Identification, experiment: Experiment, known: BodyKnowledge | None) -> Load | None:

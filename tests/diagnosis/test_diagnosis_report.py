@@ -10,6 +10,7 @@ import pytest
 
 import bayesid
 from bayesid.cli import main
+from bayesid.diagnosis.candidates import least_visible
 from bayesid.diagnosis.data import Episode
 from bayesid.diagnosis.locate import BANDS, by_band, by_window
 from bayesid.diagnosis.remarks import next_experiment
@@ -113,11 +114,33 @@ def test_the_json_is_as_promised(named, written):
 
 
 def test_sizes_that_stand_out_count_what_no_effect_explains(clean):
-    louder = replace(clean, search=replace(clean.search, dispersion=9.0 * clean.search.dispersion))
-    sizes, larger = ([c["minimum_detectable"] for c in d.to_dict()["candidates"]] for d in (clean, louder))
-    assert larger == pytest.approx([None if size is None else 3.0 * size for size in sizes])
-    seen, later = ([x for v in diagnosis_views(d).visible for x in (v.seen, v.named) if x is not None] for d in (clean, louder))
-    assert seen[:3] and later[:3] == pytest.approx([3.0 * x for x in seen[:3]])
+    dispersions = clean.search.dispersion, 9.0 * clean.search.dispersion
+    louder = replace(clean, search=replace(clean.search, dispersion=dispersions[1]))
+    low, high = (least_visible(clean.data.settings, 1, clean.search.projector.rows, x) for x in dispersions)
+    sizes, larger = (
+        [c["minimum_detectable"] for c in d.to_dict()["candidates"] if c["name"] == "sensor_gain"] for d in (clean, louder)
+    )
+    assert len(sizes) == 6 and larger == pytest.approx([high / low * size for size in sizes])
+    seen, later = ([v.seen for v in diagnosis_views(d).visible if v.effect.name == "sensor_gain"] for d in (clean, louder))
+    assert len(seen) == 6 and later == pytest.approx([high / low * x for x in seen])
+    assert 2.5 * low < high < 3.0 * low  # what parameters cost does not grow with the noise
+
+
+@pytest.mark.parametrize("spec", ["sensor_gain@fx", "base_tilt@base", "sensor_rotation@sensor", "sensor_drift@sensor"])
+@pytest.mark.parametrize("dispersion", [1.0, 1.4])
+def test_an_effect_of_the_size_stated_is_named_half_of_the_time(clean, spec, dispersion):
+    """Each parameter of it alone, by noise drawn onto the effect's own columns and the odds that a search asks for."""
+    search = replace(clean.search, dispersion=dispersion)
+    rows, rng = search.projector.rows, np.random.default_rng(1)
+    proposal = next(p for p in search.proposals if p.name == spec)
+    block = next(b for b in search.library.blocks if b.effect.spec == spec)
+    basis = np.linalg.qr(block.rows)[0]
+    sizes = replace(clean, search=search).least_visible(proposal)
+    assert tuple(sizes) == block.effect.parameters
+    for column, size in zip(block.rows.T, sizes.values(), strict=True):
+        seen = basis.T @ column * size + np.sqrt(dispersion) * rng.normal(size=(4000, basis.shape[1]))
+        gain = 0.5 * np.sum(seen**2, axis=1) - 0.5 * basis.shape[1] * np.log(rows)
+        assert np.mean(gain >= clean.data.settings.accept * dispersion) == pytest.approx(0.5, abs=0.03)
 
 
 def test_numbers_that_are_not_finite_become_null(named, tmp_path):
@@ -365,7 +388,8 @@ def test_shares_of_look_alikes_are_those_of_least_squares(named):
 
         best = max((o for o in columns if o != spec), key=explained)
         assert found.share == pytest.approx(explained(best), abs=1e-6)
-        assert found.seen == pytest.approx(5.0 / np.linalg.norm(z))
+        least = least_visible(named.data.settings, 1, named.search.projector.rows, named.search.dispersion)
+        assert found.seen == pytest.approx(least / np.linalg.norm(z))
         assert (found.named is None) == (found.share > 1 - 1e-6)  # what is the same in these readings has no other size
         if found.named is not None:
             assert found.named == pytest.approx(found.seen / np.sqrt(1.0 - found.share), rel=1e-3)

@@ -54,7 +54,11 @@ def test_faults_are_found_with_intervals_that_hold_them(faulty):
 def test_what_is_no_fault_is_not_found(wrist):
     clean = bayesid.calibrate(recorded(wrist, {"sensor_offset": FAULTS["sensor_offset"]}, seed=2))
     assert set(clean.found) == {"sensor_offset@sensor"} and clean.verdict == "nothing_missing" and not clean.warnings
-    assert {h.kind for h in clean.hidden} >= {"sensor_gain", "sensor_crosstalk", "sensor_rotation", "base_tilt"}
+    hidden = [(h.kind, h.parameter) for h in clean.hidden]
+    assert {kind for kind, _ in hidden} >= {"sensor_gain", "sensor_crosstalk"}
+    for kind, parameters in (("sensor_rotation", "rx ry rz"), ("base_tilt", "x y"), ("sensor_drift", "fx fy fz mx my mz")):
+        assert [p for k, p in hidden if k == kind] == parameters.split()
+    assert len({h.unit for h in clean.hidden if h.kind == "sensor_crosstalk"}) == 3
     assert "cannot be told from another mass" in clean.sentences[0]
 
 
