@@ -22,6 +22,8 @@ from bayesid.robot.robot import Robot
 
 #: The source of a floor that is measured where nothing moves a sensor: above the motion.
 WHITE = "white noise above the band"
+#: The source of a floor where readings hold so much more than what was measured that names cannot be told under that.
+FAR = "far above the noise"
 
 
 @dataclass(frozen=True)
@@ -64,11 +66,11 @@ class DiagnosisData:
     unseen: tuple[SpectralSegment, ...]  # of the validation motions, with their noise
     prior: Prior | None  # of the links; None where they are exact
     terms: tuple[Term, ...]  # effects of the user's model at their starting values
-    #: Whether the noise was measured. Where readings were filtered before they were recorded it cannot be, and what the richest
-    #: model leaves stands in for it.
+    #: Whether the noise was measured and is what models are fitted under. Where readings were filtered before they were recorded it
+    #: cannot be; there, and far above it, what the richest model leaves stands in for it.
     floor_known: bool = True
-    #: Where the noise of moving readings comes from: ``white noise above the band``, ``repeats``, ``parked``, ``stated`` or
-    #: ``richest model``.
+    #: Where the noise of moving readings comes from: ``white noise above the band``, ``repeats``, ``parked``, ``stated``,
+    #: ``richest model`` or ``far above the noise``.
     floor_source: str = WHITE
     #: The noise of moving readings where it was measured by frequency, on repeats or at rest.
     spectrum: NoiseSpectrum | None = None

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.diagnosis.candidates import Library, make_library
-from bayesid.diagnosis.data import WHITE, DiagnosisData
+from bayesid.diagnosis.data import FAR, WHITE, DiagnosisData
 from bayesid.diagnosis.fit import SWEEPS, Fit, fit
 from bayesid.diagnosis.noise import at_instants, with_noise_of
 from bayesid.diagnosis.projector import NuisanceProjector, make_projector
@@ -124,8 +124,10 @@ SOURCES = {
     "stated": "Noise floor unknown: the readings were filtered before they were recorded. The data sheet's noise is taken for "
     "the least there is, and what the richest model of the library leaves beyond it for noise, too, so nothing can be said about "
     "effects that the library lacks.",
-    "richest model": "Noise floor unknown: the readings were filtered before they were recorded, or hold far more than noise. "
+    "richest model": "Noise floor unknown: the readings were filtered before they were recorded. "
     "What the richest model of the library leaves stands in for it, so nothing can be said about effects that the library lacks.",
+    FAR: "The readings hold far more than their noise, whatever the library has is added to the model. What the richest model leaves "
+    "stands in for the noise, so that effects can be told from the rest; something stays that no effect of the library explains.",
 }
 #: Edges of the frequencies that share a floor [Hz].
 _EDGES = np.concatenate([[0.0], np.geomspace(0.15, 10.0, 9)])
@@ -156,6 +158,6 @@ def with_floor_of(library: Library, best: Fit) -> DiagnosisData:
             out.append(s.with_noise(root @ root.transpose(0, 2, 1)))
         return tuple(out)
 
-    source = data.floor_source if data.floor_source == "stated" else "richest model"
+    source = FAR if data.floor_known else data.floor_source
     fitted, unseen = louder(data.segments), louder(data.unseen)
     return replace(data, segments=fitted, unseen=unseen, floor_known=False, floor_source=source)

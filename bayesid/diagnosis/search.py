@@ -86,7 +86,7 @@ def refit(state: State, progress: Callable[[str], None]) -> State:
     known = projector.data.floor_known
     data = with_noise_of(projector.data, best.links, best.terms, seed)
     # At the new model's state: how far a tilt is told from heavier links depends on the tilt itself.
-    again = make_projector(replace(data, floor_known=known), best.terms)
+    again = make_projector(data, best.terms)
     projector, base, library = prepared(again, state.base.terms, best)
     best = fit(projector, best.terms, best)
     best = best if np.isfinite(best.score) else base  # it holds under the noise of another model only

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from bayesid.diagnosis.data import FAR
 from bayesid.diagnosis.forward import unrelated
 from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.rivals import explained
@@ -34,6 +35,7 @@ class Evidence:
     #: Whether held-out motions cannot deny the effects found: a contact does not come again, and of a changed link the same
     #: motion is predicted as well by many links that are a little off.
     unconfirmable: bool = False
+    far: bool = False  # whether the richest model leaves so much more than the measured noise that it stands in for that
     momentary: bool = False  # whether an effect would not be named without one moment of the recordings
     #: Root mean squares on the held-out motions, without and with the effects and of a complete model; None without such
     #: motions.
@@ -56,6 +58,7 @@ def evidence_of(search: Search, gap: Gap | None, stability: Sequence[Stability |
         residual=search.best.chi2 / search.projector.rows,
         explained=explained(search.base, search.best),
         effects=len(terms),
+        far=search.projector.data.floor_source == FAR,
         unrelated=unrelated(search.projector.data, terms),
         dropped=bool(search.dropped),
         rivals=any(f.rivals for f in search.found),
@@ -93,7 +96,7 @@ def verdict(evidence: Evidence, settings: Settings) -> tuple[Verdict, Reason]:
     # What is left of a gap on livelier motions than the fitted ones is no unmodelled effect if it is a small share of the gap.
     forgiven = bool(e.effects) and e.closed > s.nearly_all
     unseen = 0.0 if e.after is None or e.floor is None or forgiven else (e.after / e.floor) ** 2
-    if max(left, unseen) > s.unexplained:
+    if e.far or max(left, unseen) > s.unexplained:
         return "unknown", "residual"
     if not e.effects:
         return "nothing_missing", ""
