@@ -51,8 +51,8 @@ class Settings:
     #: Mean square of whitened residuals above which something is left that no effect found explains: 1.2 times the noise in
     #: root mean square. Seen.
     unexplained: float = 1.45
-    #: Mean square of residuals, with everything the library has, above which noise was measured wrongly: fourteen times the
-    #: noise in root mean square. Seen.
+    #: Mean square of residuals, with everything the library has, from which on what is left stands in for the noise, so that
+    #: names can still be told from it: fourteen times the noise in root mean square. Seen.
     hopeless: float = 200.0
     #: Relative error of any model, of numbers written with four to five digits and of samples not quite at the same time.
     accuracy: float = 1e-4

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 import bayesid
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
@@ -167,3 +168,24 @@ def test_what_a_known_effect_hides_is_not_determined(robot):
     assert abs(stiffness - 20.0) < 3.0 * std < 3.0
     assert values["rest"][1] == np.inf
     assert "rest not determined" in next(line for line in str(found).splitlines() if "rest" in line)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_shakes_the_readings_far_above_their_noise_is_no_noise(robot, seed):
+    """A table that is shaken with twenty times the noise: it was taken for noise, nothing missing or a contact "ambiguous"."""
+    rng, seconds, rate = np.random.default_rng(seed), 16.0, 100.0
+    motions = [
+        bayesid.fourier_trajectory(robot, name, role, duration=seconds, rate=rate, fundamental=1.0 / seconds, seed=place + 10 * seed)
+        for name, role, place in (("first", "identification", 1), ("unseen", "validation", 51))
+    ]
+    experiment = recorded(robot, motions, seed=seed)
+    slow = butter(2, [0.3, 3.0], "band", fs=rate, output="sos")
+
+    def shaken(m):
+        shakes = sosfiltfilt(slow, rng.normal(size=m.table.wrench.shape), axis=0)
+        wrench = m.table.wrench + 20.0 * shakes / shakes.std() * [0.3, 0.3, 0.3, 0.03, 0.03, 0.03]
+        return replace(m, table=replace(m.table, wrench=wrench))
+
+    found = bayesid.diagnose(replace(experiment, motions=tuple(shaken(m) for m in experiment.motions)), "wrench")
+    assert (found.verdict, found.data.floor_source) == ("unknown", "far above the noise")
+    assert "no effect of the library explains it" in str(found) and not found.found
