@@ -175,7 +175,9 @@ def test_what_shakes_the_readings_far_above_their_noise_is_no_noise(robot, seed)
     """A table that is shaken with twenty times the noise: it was taken for noise, nothing missing or a contact "ambiguous"."""
     rng, seconds, rate = np.random.default_rng(seed), 16.0, 100.0
     motions = [
-        bayesid.fourier_trajectory(robot, name, role, duration=seconds, rate=rate, fundamental=1.0 / seconds, seed=place + 10 * seed)
+        bayesid.fourier_trajectory(
+            robot, name, role, duration=seconds, rate=rate, fundamental=1.0 / seconds, seed=place + 10 * seed
+        )
         for name, role, place in (("first", "identification", 1), ("unseen", "validation", 51))
     ]
     experiment = recorded(robot, motions, seed=seed)
