@@ -66,8 +66,8 @@ class DiagnosisData:
     unseen: tuple[SpectralSegment, ...]  # of the validation motions, with their noise
     prior: Prior | None  # of the links; None where they are exact
     terms: tuple[Term, ...]  # effects of the user's model at their starting values
-    #: Whether the noise was measured and is what models are fitted under. Where readings were filtered before they were recorded it
-    #: cannot be; there, and far above it, what the richest model leaves stands in for it.
+    #: Whether the noise was measured and is what models are fitted under. Where readings were filtered before they were recorded
+    #: it cannot be; there, and far above it, what the richest model leaves stands in for it.
     floor_known: bool = True
     #: Where the noise of moving readings comes from: ``white noise above the band``, ``repeats``, ``parked``, ``stated``,
     #: ``richest model`` or ``far above the noise``.
