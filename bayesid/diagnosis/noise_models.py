@@ -126,8 +126,8 @@ SOURCES = {
     "effects that the library lacks.",
     "richest model": "Noise floor unknown: the readings were filtered before they were recorded. "
     "What the richest model of the library leaves stands in for it, so nothing can be said about effects that the library lacks.",
-    FAR: "The readings hold far more than their noise, whatever the library has is added to the model: something stays that no effect "
-    "of it explains. What the richest model leaves stands in for the noise, so that effects can be told from the rest.",
+    FAR: "The readings hold far more than their noise, whatever the library has is added to the model: something stays that "
+    "no effect of it explains. What the richest model leaves stands in for the noise, so that effects can be told from the rest.",
 }
 #: Edges of the frequencies that share a floor [Hz].
 _EDGES = np.concatenate([[0.0], np.geomspace(0.15, 10.0, 9)])
