@@ -33,6 +33,7 @@ _KINKS = 2  # so many turns at zero make a magnitude
 _REACH = 6  # samples on either side of a turn
 _CLEAR = 0.05  # torques that are never below this share of their largest are clear of zero
 _LIMIT_SLACK = 0.1  # [rad or m]
+_AROUND = 0.25  # a sample moves if the robot does within this time before and after [s]
 _READINGS = {"wrench": "fx ... mz", "torques": "tau1 ..."}
 
 
@@ -118,7 +119,7 @@ def _without_sign(table: Table) -> list[str]:
 def check_static(table: Table, static: Table, resolution: float | None) -> None:
     """Check a static table against its motion.
 
-    An `InputError` where it lacks a channel of the motion, has as many rows but other positions, or the motion's own readings.
+    An `InputError` where it lacks a channel of the motion, has as many rows but other positions, or is cut out of the motion.
     """
     for name, columns in _READINGS.items():
         if getattr(table, name) is not None and getattr(static, name) is None:
@@ -127,6 +128,11 @@ def check_static(table: Table, static: Table, resolution: float | None) -> None:
                 "a static table needs the same columns"
             )
     if len(static) != len(table):
+        if _moves_in(table, static):
+            raise InputError(
+                f"holds rows of {table.source} in which the robot moves", file=static.source,
+                remedy="give readings of the robot at rest, or remove [[motion]] static",
+            )  # fmt: skip
         return
     allowed = max(MATCH, 10.0 * (resolution or 0.0))
     difference = np.abs(static.positions - table.positions)
@@ -146,6 +152,20 @@ def check_static(table: Table, static: Table, resolution: float | None) -> None:
                 f"holds the same {name} as {table.source}, in which the robot moves", file=static.source,
                 remedy="give readings of the robot at rest, or remove [[motion]] static",
             )  # fmt: skip
+
+
+def _moves_in(table: Table, static: Table) -> bool:
+    """Whether most rows of a static table are rows of its motion in which the robot moves; those at rest may be cut out of it."""
+    rows = [
+        np.ascontiguousarray(np.hstack([t.positions, *(x for name in _READINGS if (x := getattr(t, name)) is not None)]))
+        for t in (table, static)
+    ]
+    if rows[0].shape[1] != rows[1].shape[1]:  # what the motion lacks
+        return False
+    mine, still = (x.view(np.dtype((np.void, x.itemsize * x.shape[1]))).ravel() for x in rows)
+    before, after = (np.searchsorted(table.times, table.times + s).clip(max=len(table) - 1) for s in (-_AROUND, _AROUND))
+    moves = np.abs(table.positions[after] - table.positions[before]).max(axis=1) > MATCH
+    return bool(np.mean(np.isin(still, mine[moves])) > 0.5)
 
 
 def check_intervals(

@@ -15,7 +15,7 @@ import pytest
 
 import bayesid
 from bayesid.errors import InputError
-from bayesid.recordings.experiment import Experiment, Motion, load_experiment
+from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment
 from bayesid.recordings.motion_checks import Timing
 from bayesid.recordings.table import Table
 from bayesid.recordings.writer import write_experiment
@@ -351,3 +351,21 @@ def test_all_that_is_said_of_missing_samples_has_one_count(folder: Path) -> None
     inspection = bayesid.check(folder)
     said = [w for w in inspection.warnings if "missing" in w and "validation.csv" in w]
     assert len(said) == 1 and "2 samples are missing" in said[0] and "2 samples missing" in str(inspection)
+
+
+def test_a_static_table_that_is_cut_out_of_its_motion_is_refused_where_the_robot_moves_there(tmp_path: Path) -> None:
+    """Every other row, or all but the last; what was cut out while the robot stood still is a static table."""
+    robot, rng = puma2(tmp_path), np.random.default_rng(1)
+    t = np.arange(1500) / 100.0
+    moved = np.where(t > 5.0, t - 5.0, 0.0)
+    q = np.round(np.column_stack([np.sin(moved), np.cos(0.7 * moved)]), 4)
+    whole = Table(t, q, wrench=q @ rng.normal(size=(2, 6)) + rng.normal(size=(len(t), 6)), source="one.csv")
+
+    def given(rows: slice) -> Experiment:
+        part = Table(t[rows], q[rows], wrench=whole.wrench[rows], source="still.csv")
+        return Experiment("copied", robot, (Motion("one", "identification", whole, static=part),), Sensor())
+
+    for rows in (slice(None, None, 2), slice(0, -1)):
+        with pytest.raises(InputError, match="^still.csv: holds rows of one.csv in which the robot moves"):
+            given(rows)
+    assert given(slice(0, 480)).motions[0].static is not None
