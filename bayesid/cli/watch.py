@@ -30,6 +30,8 @@ def watch(reference, recordings, model, effects_from, out, **options) -> None:
         report = run.write(result, known.name)
     for sentence in result.sentences():
         say(f"  {sentence}.")
+    for warning in result.all_warnings:
+        say(f"  warning: {warning}")
     say(f"report: {report}")
     done = len(result.recordings)
     if done < result.planned:

@@ -82,7 +82,7 @@ def changes_report(result: Changes) -> str:
     ]  # fmt: skip
     opening = [
         lead(f"**{results.verdict_sentence(c)}**"), cards(_cards(c)),
-        warnings(results.notes(c), "", "Know this before you use it"),
+        warnings([*result.warnings, *results.notes(c)], "", "Know this before you use it"),
     ]  # fmt: skip
     kicker = f"What changed since the reference: from the {channel_text(problem.channel, problem.fitted)}"
     return page(f"{problem.experiment.name} since {before.name}", kicker, opening, sections)
@@ -204,7 +204,8 @@ def watch_report(result: Watch) -> str:
                   f"A change is named from a log evidence of {number(result.accept, 3)}."),
     ]  # fmt: skip
     kicker = f"What changed since the reference, and when: from the {channel_text(channel)}"
-    return page(f"Recordings since {result.reference}", kicker, [lead(f"**{s}.**") for s in result.sentences()], sections)
+    opening = [*(lead(f"**{s}.**") for s in result.sentences()), warnings(result.all_warnings)]
+    return page(f"Recordings since {result.reference}", kicker, opening, sections)
 
 
 def gap_figure(result: Watch, ax: Any = None) -> Figure:

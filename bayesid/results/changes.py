@@ -42,11 +42,14 @@ class Changes(ShownResult):
         Everything that was found.
     seconds
         Run time.
+    warnings
+        What the user should know about the recordings, and about those of the reference.
     """
 
     verb, report = "diagnose", "changes"
     comparison: ReferenceComparison
     seconds: float = 0.0
+    warnings: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -102,14 +105,15 @@ class Changes(ShownResult):
                 lines.append(f"  {x.change.spec}: {name} {value}".rstrip() + before)
             if sentence := shares_sentence(x, c):
                 lines.append(f"  {sentence}")
-        return [*lines, gap_sentence(c), *_open(c)]
+        return [*lines, gap_sentence(c), *(f"warning: {w}" for w in self.warnings), *_open(c)]
 
     def _repr_html_(self) -> str:
         """The same for notebooks, values as a table."""
         c = self.comparison
         shares = [s for x in c.changes if (s := shares_sentence(x, c))]
         table = [self.table] if c.changes else []
-        return as_html([f"**{verdict_sentence(c)}**", f"{gap_sentence(c)}.", *table, *shares, *_open(c)])
+        said = [f"warning: {w}" for w in self.warnings]
+        return as_html([f"**{verdict_sentence(c)}**", f"{gap_sentence(c)}.", *table, *shares, *said, *_open(c)])
 
     def to_dict(self) -> dict[str, Any]:
         """What ``diagnosis.json`` holds."""
@@ -129,7 +133,7 @@ class Changes(ShownResult):
                 "dispersion": c.selection.marginal().dispersion, "tolerance_factor": c.selection.factor,
                 "bandwidth_hz": c.recording.problem.smoother.bandwidth,
             },
-            "next_experiment": next_experiment(c), "runtime_s": self.seconds,
+            "remarks": list(self.warnings), "next_experiment": next_experiment(c), "runtime_s": self.seconds,
         })  # fmt: skip
 
     def _beside(self) -> Files:
@@ -299,6 +303,8 @@ class Watched:
     complaint: str = ""  # why it could not
     #: What the reference's fit leaves of its motions, as `bayesid.identify` fits and measures it.
     left: tuple[Prediction, ...] = ()
+    #: What the user should know about it.
+    warnings: tuple[str, ...] = ()
 
     @property
     def times_noise(self) -> float:
@@ -357,7 +363,7 @@ class Watched:
             **out, "effects": [change_dict(x) for x in self.changes], "gap": self.gap,
             "gap_left": float(np.sqrt(p.after if self.changes else p.tolerance)),
             "largest_log_evidence": self.evidence, "left": [left_dict(x) for x in self.left],
-            "times_noise": self.times_noise,
+            "times_noise": self.times_noise, "warnings": list(self.warnings),
         })  # fmt: skip
 
 
@@ -379,6 +385,8 @@ class Watch(ShownResult):
         How many recordings the series has; more than there are where it was interrupted.
     seconds
         Run time.
+    warnings
+        What the user should know about the reference's recordings.
     """
 
     verb, report = "watch", "changes"
@@ -388,6 +396,7 @@ class Watch(ShownResult):
     accept: float
     planned: int
     seconds: float = 0.0
+    warnings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         changed = sum(bool(w.changes) for w in self.recordings)
@@ -419,6 +428,15 @@ class Watch(ShownResult):
         return out
 
     @property
+    def all_warnings(self) -> list[str]:
+        """Of the reference, then of the recordings, each once."""
+        told: dict[str, list[str]] = {}
+        for w in self.recordings:
+            for text in w.warnings:
+                told.setdefault(text, []).append(w.name)
+        return [*self.warnings, *(f"In {listed(names, 6)}: {text}" for text, names in told.items())]
+
+    @property
     def table(self) -> ShownTable:
         """A line for each recording."""
         head = ["recording", "verdict", "what changed", "residual over own fit", "x noise"]
@@ -427,7 +445,7 @@ class Watch(ShownResult):
     def _parts(self) -> list[str | ShownTable]:
         head = f"{len(self.recordings)} recordings since {self.reference}"
         head += f"; a change is named from a log evidence of {self.accept:.3g}"
-        return [head, self.table, *(f"{s}." for s in self.sentences())]
+        return [head, self.table, *(f"{s}." for s in self.sentences()), *(f"warning: {w}" for w in self.all_warnings)]
 
     def to_dict(self) -> dict[str, Any]:
         """What ``watch.json`` holds."""
@@ -436,7 +454,7 @@ class Watch(ShownResult):
             "log_evidence_needed": self.accept, "planned": self.planned,
             "recordings": [w.to_dict() for w in self.recordings],
             "history": {spec: list(where) for spec, where in self.history.items()},
-            "runtime_s": self.seconds,
+            "warnings": list(self.warnings), "runtime_s": self.seconds,
         })  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from bayesid.results.identification import Identification
 from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
-from bayesid.workflows.warnings import incomplete
+from bayesid.workflows.warnings import incomplete, of_recordings
 
 #: Fewest twins of a level that a standard deviation can be taken of.
 _FEWEST_RUNS = 5
@@ -217,4 +217,4 @@ def _warnings(bench: Bench, varied: Sweeps | None, found: CoverageCertificate | 
             "No validation motion: errors of predictions are those of the fitted motions, which are predicted best. "
             'Add a motion with role = "validation".'
         )
-    return tuple(out)
+    return of_recordings(bench.experiment, out, [t.effect.name for t in bench.terms])

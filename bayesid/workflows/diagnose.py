@@ -40,7 +40,7 @@ from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.excitation import NEXT_MOTION, telling_sentence
 from bayesid.validation.own_fit import before_and_after
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
-from bayesid.workflows.warnings import of_recordings
+from bayesid.workflows.warnings import of_recordings, of_reference
 
 
 class DiagnoseChoices(TypedDict, total=False):
@@ -140,8 +140,23 @@ def diagnose(
             found = compare_with_reference(
                 before, experiment, channel, effects=effects, motions=motions, seed=seed, settings=settings
             )
-            return Changes(found, time.perf_counter() - since)
-        experiment = as_experiment(experiment)
+            progress("signs, frames and units")
+            said = of_recordings(experiment, (), [x.change.name for x in found.changes])
+            said = (*said, *of_reference(before, said))
+            return Changes(found, time.perf_counter() - since, said)
+        diagnosis = missing(as_experiment(experiment), chosen, tell, seed, settings, progress)
+        progress("signs, frames and units")
+        said = of_recordings(diagnosis.data.experiment, diagnosis.remarks, [f.term.effect.name for f in diagnosis.found])
+    return replace(diagnosis, remarks=said, seconds=time.perf_counter() - since)
+
+
+def missing(
+    experiment: Experiment, chosen: FitOptions, tell: str | Sequence[str] | None, seed: int, settings: Settings | None,
+    progress: Progress,
+) -> Diagnosis:  # fmt: skip
+    """What `diagnose` finds without a reference, and without what is wrong with the recordings themselves."""
+    channel, motions, effects, settings = chosen.channel, chosen.motions, chosen.effects, settings or DEFAULT
+    with one_blas_thread():
         if effects is not None:
             experiment = replace(experiment, effects=tuple(effects))
         progress("noise of sensors and encoders")
@@ -192,8 +207,7 @@ def diagnose(
         if diagnosis.part is not None and stands_alone(diagnosis.description):
             other = concluded(imitate=True)
             diagnosis = other if stands_alone(other.description) else diagnosis
-    said = of_recordings(experiment, diagnosis.remarks, [f.term.effect.name for f in diagnosis.found])
-    return replace(diagnosis, remarks=said, seconds=time.perf_counter() - since)
+    return diagnosis
 
 
 @dataclass(frozen=True, eq=False)

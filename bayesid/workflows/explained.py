@@ -17,9 +17,9 @@ from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.fitted_model import fitted_model
 from bayesid.results.identification import Identification
 from bayesid.results.payload import EffectBeside
-from bayesid.workflows.diagnose import diagnose
+from bayesid.workflows.diagnose import missing
 from bayesid.workflows.identify import identify
-from bayesid.workflows.progress import Clock
+from bayesid.workflows.progress import Clock, quiet
 
 #: What tells more where poses are all that was recorded.
 _POSES = "Take cables off, and come back to the first pose every few poses: what differs there is the sensor's drift."
@@ -57,7 +57,7 @@ def explain(
         return Explained(first, first)
     clock("what else is in the readings")
     try:
-        found = diagnose(experiment, options=options, seed=seed, settings=settings, progress=None)
+        found = missing(experiment, options, None, seed, settings, quiet)
     except BayesidError as error:
         return Explained(first, first, warnings=(f"The readings were not searched for anything else: {error}",))
     notes: tuple[str, ...] = ()

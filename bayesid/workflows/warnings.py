@@ -62,6 +62,11 @@ def of_recordings(experiment: Experiment, notes: Iterable[str], named: Iterable[
     return experiment.with_findings([*wrong, *notes], validated=False)
 
 
+def of_reference(reference: Experiment, said: Iterable[str] = ()) -> tuple[str, ...]:
+    """The same of recordings that others are compared with, without what was ``said`` of those already."""
+    return tuple(f"In the reference: {text}" for text in of_recordings(reference, ()) if text not in said)
+
+
 def unseen_effects(problem: Problem) -> list[str]:
     """Which of the effects that were asked for these readings do not show, in one line."""
     if not problem.unseen:

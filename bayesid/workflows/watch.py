@@ -23,6 +23,7 @@ from bayesid.results.changes import Watch, Watched
 from bayesid.tasks import cluster, map_tasks
 from bayesid.validation.prediction import Prediction, predict_elsewhere
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
+from bayesid.workflows.warnings import of_recordings, of_reference
 
 
 @shows_progress
@@ -99,7 +100,10 @@ def watch(
     if all(w.comparison is None for w in done):
         raise InputError(f"none of the recordings could be compared; the first, {done[0].name}: {done[0].complaint}")
     folder = None if before.folder is None else str(before.folder)
-    return Watch(before.name, folder, tuple(done), accept, len(series), time.perf_counter() - since)
+    said = {text for w in done for text in w.warnings}
+    return Watch(
+        before.name, folder, tuple(done), accept, len(series), time.perf_counter() - since, of_reference(before, said)
+    )  # fmt: skip
 
 
 class _Learned:
@@ -136,12 +140,12 @@ def _compared(
     try:
         compared = compare_with_learned(learn, after, motions=motions, seed=seed, settings=settings)
     except BayesidError as error:
-        return Watched(name, None, str(error))
+        return Watched(name, None, str(error), warnings=of_recordings(after, ()))
     try:
         left = tuple(p for p in learn.left(after) if motions is None or p.motion in motions)
     except BayesidError:  # too short for rows of their own
         left = ()
-    return Watched(name, compared, left=left)
+    return Watched(name, compared, left=left, warnings=of_recordings(after, (), [x.change.name for x in compared.changes]))
 
 
 def _names(series: Sequence[Experiment]) -> list[str]:

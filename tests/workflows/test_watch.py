@@ -118,3 +118,32 @@ def test_an_interrupted_series_is_kept(series, tmp_path, capsys, monkeypatch):
     monkeypatch.undo()
     assert main(["watch", folders[0], str(tmp_path / "none")]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def reversed_wrench(made):
+    """Readings of what the robot does to the sensor."""
+    return replace(made, motions=tuple(replace(m, table=replace(m.table, wrench=-m.table.wrench)) for m in made.motions))
+
+
+def test_mistakes_of_recordings_and_reference_are_told(series, tmp_path):
+    """A reversed wrench was a payload of -48 kg, without a word."""
+    wrong = [replace(reversed_wrench(s), name=f"{s.name}-reversed") for s in series[:2]]
+    told = "The wrench seems to be that of the robot on the sensor"
+    for before, after, place in ((series[0], wrong[1], 0), (wrong[0], series[1], -1)):
+        change, watched = bayesid.diagnose(after, reference=before), bayesid.watch(before, [after])
+        assert told in change.warnings[place] and change.warnings[place].startswith("In the reference: ") == (place == -1)
+        assert told in str(change) and told in change.to_dict()["remarks"][place]
+        assert [told in w for w in watched.all_warnings].count(True) == 1 and told in str(watched)
+        kept = watched.to_dict()
+        assert change.warnings[place] in (kept["recordings"][0] if place == 0 else kept)["warnings"]
+        assert told in watched.write(tmp_path / after.name).read_text(encoding="utf-8")
+    assert told in bayesid.accuracy(wrong[0], runs=0).warnings[0]
+
+
+def test_mistakes_are_searched_once(series, monkeypatch):
+    searched = []
+    monkeypatch.setattr("bayesid.validation.mistakes.search.find_mistakes", lambda e: searched.append(e) or ())
+    for verb in (bayesid.diagnose, bayesid.payload, bayesid.calibrate):
+        verb(replace(series[1], inertia_rel_std=0.05))
+        assert [e.name for e in searched] == ["day1"], verb.__name__
+        searched.clear()
