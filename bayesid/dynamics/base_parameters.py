@@ -21,6 +21,8 @@ from bayesid.robot.robot import Robot
 #: A column whose part outside the kept ones is below this share of its length counts as dependent. URDFs round
 #: right angles to 1.5708, which tilts axes by 4e-6 and would otherwise pass for identifiable structure.
 TOLERANCE = 3e-5
+#: What of a combination of parameters may lie outside others for it to be one of these, relative to its length.
+_OUTSIDE = 1e-4
 _PREFERENCE = {"mcx": 0, "mcy": 1, "mcz": 2, "Ixy": 3, "Iyy": 4, "Ixz": 5, "Iyz": 6, "Izz": 7, "Ixx": 8, "m": 9}
 
 
@@ -174,13 +176,19 @@ def regroup(
     )
 
 
+def spanned(wanted: np.ndarray, known: np.ndarray, tolerance: float = _OUTSIDE) -> tuple[np.ndarray, np.ndarray]:
+    """Combinations of parameters (k, p) by known ones (r, p): T with ``wanted = T known`` (k, r), and which are such (k,).
+
+    ``tolerance`` is what may lie outside the known ones, relative to the length of each.
+    """
+    through = np.linalg.lstsq(known.T, wanted.T, rcond=None)[0].T
+    outside = np.linalg.norm(through @ known - wanted, axis=1)
+    return through, outside <= tolerance * np.linalg.norm(wanted, axis=1)
+
+
 def unseen(wider: BaseParameters, found: BaseParameters) -> tuple[str, ...]:
     """Labels of combinations that are not among those found (not in the span of their rows)."""
-    if not found.rank:
-        return wider.labels
-    rest = wider.matrix - np.linalg.lstsq(found.matrix.T, wider.matrix.T, rcond=None)[0].T @ found.matrix
-    gone = np.linalg.norm(rest, axis=1) > 1e-4 * np.linalg.norm(wider.matrix, axis=1)
-    return tuple(label for label, g in zip(wider.labels, gone, strict=True) if g)
+    return tuple(label for label, there in zip(wider.labels, spanned(wider.matrix, found.matrix)[1], strict=True) if not there)
 
 
 def further(wider: BaseParameters, found: BaseParameters) -> tuple[str, ...]:
@@ -189,7 +197,7 @@ def further(wider: BaseParameters, found: BaseParameters) -> tuple[str, ...]:
     for label, row in zip(wider.labels, wider.matrix, strict=True):
         rest = row - basis @ (basis.T @ row)
         rest -= basis @ (basis.T @ rest)
-        if np.linalg.norm(rest) > 1e-4 * np.linalg.norm(row):
+        if np.linalg.norm(rest) > _OUTSIDE * np.linalg.norm(row):
             basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
             out.append(label)
     return tuple(out)

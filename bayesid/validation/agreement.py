@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesid.dynamics.base_parameters import structural_base
+from bayesid.dynamics.base_parameters import spanned, structural_base
 from bayesid.effects import starting_point, stated_of, with_places
 from bayesid.errors import BayesidError
 from bayesid.estimators import Estimate, Estimator, fit
@@ -293,8 +293,7 @@ def wrench_against_torque(problem: Problem, method: str | Estimator) -> Agreemen
     at_rest = all(r.poses for n in names for r in problem.segments[n])
     full = structural_base(experiment.robot, make_channels(experiment, "torque"), at_rest=at_rest)
     # Rows of K_torque as combinations of K_wrench.
-    relation = np.linalg.lstsq(wrench.base.matrix.T, full.matrix.T, rcond=None)[0].T
-    inside = np.linalg.norm(relation @ wrench.base.matrix - full.matrix, axis=1) < 1e-4 * np.linalg.norm(full.matrix, axis=1)
+    relation, inside = spanned(full.matrix, wrench.base.matrix)
     hidden = linalg.unshown(wrench.full_covariance, wrench.undetermined)[: wrench.base.rank]
     inside &= ~(linalg.takes(relation, hidden) | torque.undetermined[: torque.base.rank])
     implied = (relation @ wrench.values)[inside]

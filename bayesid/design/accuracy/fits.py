@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from bayesid.design.accuracy.bench import Bench, Setting, true_solution, twin
-from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.dynamics.base_parameters import BaseParameters, spanned
 from bayesid.effects import MotionSegment
 from bayesid.estimators import Estimate
 from bayesid.estimators.least_squares import LeastSquares
@@ -171,10 +171,9 @@ def combinations(wanted: BaseParameters, known: BaseParameters) -> np.ndarray:
     """Wanted base parameters as combinations of known ones (r, r'); nan in rows that are none."""
     if wanted.matrix.shape == known.matrix.shape and np.allclose(wanted.matrix, known.matrix, rtol=0.0, atol=1e-9):
         return np.eye(wanted.rank)
-    rows = np.linalg.lstsq(known.matrix.T, wanted.matrix.T, rcond=None)[0].T
+    rows, inside = spanned(wanted.matrix, known.matrix, _OUTSIDE)
     rows[np.abs(rows) < 1e-9] = 0.0
-    left = np.linalg.norm(rows @ known.matrix - wanted.matrix, axis=1)
-    rows[left > _OUTSIDE * np.linalg.norm(wanted.matrix, axis=1)] = np.nan
+    rows[~inside] = np.nan
     return rows
 
 

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from bayesid.design.bounds.region import Region, region_of_draws, region_of_normal, root_of
-from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.dynamics.base_parameters import BaseParameters, spanned
 from bayesid.errors import InputError
 from bayesid.estimators.factor import channel_grams
 from bayesid.posterior.likelihood import Likelihood, ScalePrior
@@ -95,7 +95,7 @@ def consistent_draws(
 
 #: Relative standard deviation of masses where nobody says how well the nominal links are known: as good as none.
 WIDE = 1.0
-#: What of a combination of link parameters may lie outside those that are determined, relative to its length.
+#: What of a change among effects may be of links, relative to its length.
 _OUTSIDE = 1e-4
 #: Eigenvalues of the rows' Gram matrix, columns at unit length, that count as none: rounding of a product.
 _NOTHING = 1e-12
@@ -143,27 +143,16 @@ class Known:
             base.names, base.labels, base.units, self.mean[:r], self.covariance[:r, :r], self.undetermined[:r], seed
         )
 
-    def transfer(self, base: BaseParameters) -> tuple[np.ndarray, np.ndarray]:
-        """T with ``other base = T identified base`` (k, r), and which of the others are such combinations (k,)."""
-        return self._by(base, np.ones(self.base.rank, bool))
-
     def prior_driven(self, base: BaseParameters) -> np.ndarray:
         """Which of other base parameters the prior drives (k,).
 
         They are no combination of those that the data say anything of, or draws of them are nearly as wide as the prior's.
         """
-        driven = ~self._by(base, ~self.undetermined[: self.base.rank])[1]
+        driven = ~spanned(base.matrix, self.base.matrix[~self.undetermined[: self.base.rank]])[1]
         if self.links.prior is None:
             return driven
         spread = (self.links.links @ base.matrix.T).std(axis=0)
         return driven | (spread > PRIOR_DRIVEN * (self.links.prior @ base.matrix.T).std(axis=0))
-
-    def _by(self, base: BaseParameters, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Other base parameters as combinations of some of the identified ones (k, m), and which of them are such (k,)."""
-        own = self.base.matrix[kept]
-        found = np.linalg.lstsq(own.T, base.matrix.T, rcond=None)[0].T
-        outside = np.linalg.norm(found @ own - base.matrix, axis=1)
-        return found, outside <= _OUTSIDE * np.linalg.norm(base.matrix, axis=1)
 
 
 def open_directions(problem: Problem) -> np.ndarray:
@@ -270,9 +259,8 @@ def _drawn(problem: Problem, covariance: np.ndarray) -> np.ndarray:
     Those with a variance; but no effects that the data tell from each other as little as from nothing, and no prior holds.
     """
     out, rank = np.diag(covariance) > 0.0, problem.row_model.base.rank
-    among_effects = open_directions(problem)[rank:, :]
+    held, among_effects = np.split(open_directions(problem), [rank])
     size = np.linalg.norm(among_effects, axis=0)
-    held = open_directions(problem)[:rank, :]
     free = np.linalg.norm(held, axis=0) <= _OUTSIDE * size
     out[rank:] &= ~np.any(np.abs(among_effects[:, free]) > _OUTSIDE * size[free], axis=1)
     return out

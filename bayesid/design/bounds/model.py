@@ -15,7 +15,7 @@ import numpy as np
 
 from bayesid.design.bounds.knowledge import Known
 from bayesid.design.bounds.region import Region, region_of_draws, region_of_normal
-from bayesid.dynamics.base_parameters import BaseParameters, structural_base
+from bayesid.dynamics.base_parameters import BaseParameters, spanned, structural_base
 from bayesid.dynamics.channels import Channels, torque_channels
 from bayesid.dynamics.regressors import Kernel
 from bayesid.effects.families import JointMotion, JointTorqueEffect, differences
@@ -160,7 +160,7 @@ def _model(
     effects = [n for drive in drives for n in np.array(drive.effect.column_names)[list(drive.columns)].tolist()]
     units = [u for drive in drives for u in np.array(drive.effect.units)[list(drive.columns)].tolist()]
     draws = np.concatenate([known.links.links @ base.matrix.T, known.links.effects[:, columns]], axis=1)
-    transfer, inside = known.transfer(base)
+    transfer, inside = spanned(base.matrix, known.base.matrix)
     names, labels, units = (*base.names, *effects), (*base.labels, *effects), (*base.units, *units)
     through = np.zeros((base.rank + len(columns), len(known.mean)))
     through[: base.rank, :rank] = transfer

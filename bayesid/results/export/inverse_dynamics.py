@@ -20,7 +20,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from scipy.stats import norm
 
-from bayesid.dynamics.base_parameters import structural_base
+from bayesid.dynamics.base_parameters import spanned, structural_base
 from bayesid.dynamics.channels import torque_channels
 from bayesid.effects.built_in import CLASSES
 from bayesid.effects.families import SensorEffect
@@ -93,8 +93,6 @@ class JointLaw:
 
 #: Effects of the force/torque sensor, which no torque holds.
 _SENSOR = {kind.name for kind in CLASSES if issubclass(kind, SensorEffect)}
-#: What of a base parameter of the torques may lie outside those that were identified, relative to its length.
-_OUTSIDE = 1e-4
 _NOTHING = 1e-12
 
 
@@ -123,9 +121,8 @@ def inverse_dynamics(found: IdentifiedRobot) -> InverseDynamics:
     """
     robot = found.robot
     base = structural_base(robot, torque_channels(robot))
-    through = np.linalg.lstsq(found.base.matrix.T, base.matrix.T, rcond=None)[0].T
-    outside = np.linalg.norm(through @ found.base.matrix - base.matrix, axis=1)
-    foreign = outside > _OUTSIDE * np.linalg.norm(base.matrix, axis=1)
+    through, inside = spanned(base.matrix, found.base.matrix)
+    foreign = ~inside
     through[np.abs(through) < 1e-12 * np.abs(through).max(axis=1, keepdims=True, initial=0.0)] = 0.0
     laws, columns, left_out = _laws(found, base.rank)
     whole = np.zeros((base.rank + len(columns), len(found.solution)))
