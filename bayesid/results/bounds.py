@@ -21,6 +21,7 @@ from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL
 from bayesid.estimators.parameters import EstimatedParameter
+from bayesid.results.estimated import forwarded
 from bayesid.results.files import SCHEMA, Files, ShownResult
 from bayesid.results.fitted_model import joint_dynamics
 from bayesid.robot.urdf import write_urdf
@@ -54,8 +55,21 @@ class TrajectoryBands:
         }  # fmt: skip
 
 
+class _HasRegion:
+    """Sets of the parameters of the joint torques, from ``region``."""
+
+    names: tuple[str, ...] = forwarded("region.names", "Names of the parameters of the joint torques (k,).")
+    values: np.ndarray = forwarded("region.values", "Their centre (k,).")
+    std: np.ndarray = forwarded("region.std", "Standard deviations (k,), nan where the data tell no more than a sum with others.")
+    low: np.ndarray = forwarded("region.low", "Lower ends of the box that holds all of them at once (k,); nan as in ``std``.")
+    high: np.ndarray = forwarded("region.high", "Upper ends of that box (k,).")
+    covariance: np.ndarray = forwarded("region.covariance", "Their covariance V (k, k).")
+    rho: float = forwarded("region.rho", "Radius of the ball that holds them, for Spong's term; in SI units together.")
+    ellipsoid: float = forwarded("region.ellipsoid", "Radius rho_V of the ellipsoid ``(b - b_hat)' V^-1 (b - b_hat) <= rho_V^2``.")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class ControllerBounds(ShownResult):
+class ControllerBounds(_HasRegion, ShownResult):
     """What a controller may rely on, with probability 95 % for each bound.
 
     Attributes
@@ -119,46 +133,6 @@ class ControllerBounds(ShownResult):
     def region(self) -> Region:
         """Sets of the parameters of the joint torques: base parameters, then those of friction and rotors identified."""
         return self.torque_model.region
-
-    @property
-    def values(self) -> np.ndarray:
-        """Centre of the parameters of the joint torques (k,)."""
-        return self.region.values
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of these parameters (k,)."""
-        return self.region.names
-
-    @property
-    def std(self) -> np.ndarray:
-        """Their standard deviations (k,), nan where the data tell no more than a sum with others."""
-        return self.region.std
-
-    @property
-    def low(self) -> np.ndarray:
-        """Lower ends of the box that holds all of them at once (k,); nan as in ``std``."""
-        return self.region.low
-
-    @property
-    def high(self) -> np.ndarray:
-        """Upper ends of that box (k,)."""
-        return self.region.high
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Covariance V of the parameters (k, k)."""
-        return self.region.covariance
-
-    @property
-    def rho(self) -> float:
-        """Radius of the ball that holds the parameters of the joint torques, for Spong's term; in SI units together."""
-        return self.region.rho
-
-    @property
-    def ellipsoid(self) -> float:
-        """Radius rho_V of the ellipsoid ``(b - b_hat)' V^-1 (b - b_hat) <= rho_V^2`` of the same parameters."""
-        return self.region.ellipsoid
 
     @property
     def links(self) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -10,7 +11,6 @@ import numpy as np
 from bayesid.drawing import Plots, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
-from bayesid.estimators import Estimate
 from bayesid.estimators.parameters import HasParameters
 
 if TYPE_CHECKING:
@@ -19,48 +19,21 @@ if TYPE_CHECKING:
     from bayesid.validation.prediction import Prediction
 
 
-class _WithEstimate(Protocol):
-    @property
-    def estimate(self) -> Estimate: ...
+def forwarded(path: str, text: str) -> Any:
+    """A property that is documented by a text: what stands at a path of attributes below the result."""
+    return property(attrgetter(path), doc=text)
 
 
 class HasEstimate(HasParameters):
     """Base parameters of the estimate in ``estimate``, with their intervals."""
 
-    @property
-    def names(self: _WithEstimate) -> tuple[str, ...]:
-        """Names of the base parameters (r,)."""
-        return self.estimate.names
-
-    @property
-    def values(self: _WithEstimate) -> np.ndarray:
-        """Base parameters (r,)."""
-        return self.estimate.values
-
-    @property
-    def std(self: _WithEstimate) -> np.ndarray:
-        """Standard deviations of the base parameters (r,)."""
-        return self.estimate.std
-
-    @property
-    def low(self: _WithEstimate) -> np.ndarray:
-        """Lower ends of the base parameters' 95 % intervals (r,)."""
-        return self.estimate.low
-
-    @property
-    def high(self: _WithEstimate) -> np.ndarray:
-        """Upper ends of the base parameters' 95 % intervals (r,)."""
-        return self.estimate.high
-
-    @property
-    def covariance(self: _WithEstimate) -> np.ndarray | None:
-        """Covariance of the base parameters (r, r)."""
-        return self.estimate.covariance
-
-    @property
-    def base(self: _WithEstimate) -> BaseParameters:
-        """What the base parameters are combinations of."""
-        return self.estimate.base
+    names: tuple[str, ...] = forwarded("estimate.names", "Names of the base parameters (r,).")
+    values: np.ndarray = forwarded("estimate.values", "Base parameters (r,).")
+    std: np.ndarray = forwarded("estimate.std", "Standard deviations of the base parameters (r,).")
+    low: np.ndarray = forwarded("estimate.low", "Lower ends of the base parameters' 95 % intervals (r,).")
+    high: np.ndarray = forwarded("estimate.high", "Upper ends of the base parameters' 95 % intervals (r,).")
+    covariance: np.ndarray | None = forwarded("estimate.covariance", "Covariance of the base parameters (r, r).")
+    base: BaseParameters = forwarded("estimate.base", "What the base parameters are combinations of.")
 
     def plot_intervals(self, *, ax: Any = None) -> Figure:
         """Draw the base parameters against the nominal model, with their 95 % intervals.
