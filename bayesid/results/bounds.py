@@ -65,7 +65,7 @@ class _HasRegion:
     high: np.ndarray = forwarded("region.high", "Upper ends of that box (k,).")
     covariance: np.ndarray = forwarded("region.covariance", "Their covariance V (k, k).")
     rho: float = forwarded("region.rho", "Radius of the ball that holds them, for Spong's term; in SI units together.")
-    ellipsoid: float = forwarded("region.ellipsoid", "Radius rho_V of the ellipsoid ``(b - b_hat)' V^-1 (b - b_hat) <= rho_V^2``.")
+    ellipsoid: float = forwarded("region.ellipsoid", "Radius rho_V of the ellipsoid ``(b - b_hat)' V^-1 (b - b_hat) <= rho_V^2``")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

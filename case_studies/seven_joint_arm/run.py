@@ -150,7 +150,7 @@ def workspace(bounds: bayesid.ControllerBounds, known: bayesid.Experiment, truth
     """What was promised of the mass matrix, and what is true."""
     w, model = bounds.workspace, plant(known.robot, truth)
     data, found = model.createData(), []
-    inner = bounds.torque_model.drive_inertia() @ bounds.values[bounds.torque_model.base.rank :]
+    inner = bounds.torque_model.drive_inertia()[1] @ bounds.values[bounds.torque_model.base.rank :]
     for q in sobol_configurations(known.robot, 200, SEED)[0]:
         still = np.zeros((known.robot.n, known.robot.n))
         unit = bounds.torque_model.rigid(np.tile(q, (7, 1)), still, np.eye(7), gravity=False)

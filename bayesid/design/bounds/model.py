@@ -95,19 +95,12 @@ class ReadingModel:
             parts.append(own)
         return constant, np.concatenate(parts, axis=2)
 
-    def drive_inertia(self) -> np.ndarray:
-        """What the parameters beyond the base parameters add to the mass matrix (n, n, k - r)."""
+    def drive_inertia(self) -> tuple[np.ndarray, np.ndarray]:
+        """What is inside the joints adds to the mass matrix: with stated values (n, n), by estimated parameters (n, n, k - r)."""
         n = self.robot.n
         still, unit = np.zeros((n, n)), np.eye(n)
-        moved, held = (self._with_drives(still, still, a, np.zeros((n, n, 0)))[1] for a in (unit, still))
-        return np.swapaxes(moved - held, 0, 1)
-
-    def stated_inertia(self) -> np.ndarray:
-        """What is inside the joints with stated values, not estimated, adds to the mass matrix (n, n)."""
-        n = self.robot.n
-        still, unit = np.zeros((n, n)), np.eye(n)
-        moved, held = (self._with_drives(still, still, a, np.zeros((n, n, 0)))[0] for a in (unit, still))
-        return moved - held
+        moved, held = (self._with_drives(still, still, a, np.zeros((n, n, 0))) for a in (unit, still))
+        return moved[0] - held[0], np.swapaxes(moved[1] - held[1], 0, 1)
 
 
 def torque_model(known: Known, seed: int = 0) -> ReadingModel:

@@ -35,7 +35,6 @@ from bayesid.rounding import LEVEL
 NORMAL_DRAWS = 20_000
 #: Correlations are trusted to this share of the largest eigenvalue.
 _SMALLEST = 1e-12
-_PANEL = 2_000_000
 
 
 def quantile(values: np.ndarray, level: float) -> float:
@@ -75,15 +74,10 @@ def mahalanobis(deviations: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.linalg.norm((deviations / std) @ (vectors / np.sqrt(values)), axis=1)
 
 
-def largest_deviation(rows: np.ndarray, std: np.ndarray, deviations: np.ndarray) -> np.ndarray:
-    """``max_t |rows_t' d| / std_t`` (n,) of deviations d (n, k), over rows (t, k) that have a standard deviation (t,)."""
+def largest_deviation(std: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+    """``max_k |d_k| / std_k`` (n,) of deviations d (n, k), over those that have a standard deviation (k,)."""
     used = std > 0.0
-    scaled = rows[used] / std[used, None]
-    out = np.zeros(len(deviations))
-    step = max(_PANEL // max(len(deviations), 1), 1)
-    for first in range(0, len(scaled), step):
-        np.maximum(out, np.abs(scaled[first : first + step] @ deviations.T).max(axis=0), out=out)
-    return out
+    return np.abs(deviations[:, used] * (1.0 / std[used])).max(axis=1, initial=0.0)
 
 
 def normal_deviations(covariance: np.ndarray, count: int, seed: int) -> np.ndarray:
@@ -204,7 +198,7 @@ def region_of_draws(
     away = draws - values
     covariance = np.atleast_2d(np.cov(away.T)) if centre is None else away.T @ away / (count - 1)
     std = standard_deviations(covariance)
-    largest = largest_deviation(np.eye(len(values)), std, away)
+    largest = largest_deviation(std, away)
     # The norm hardly depends on a single draw: the mean less one draw is n / (n - 1) as far.
     norms = np.linalg.norm(away, axis=1) * count / (count - 1)
     return Region(
@@ -228,7 +222,7 @@ def region_of_normal(
     away = normal_deviations(covariance, NORMAL_DRAWS, seed)
     count = root_of(covariance).shape[1]
     std = np.where(undetermined, 0.0, standard_deviations(covariance))
-    largest = largest_deviation(np.eye(len(values)), std, away)
+    largest = largest_deviation(std, away)
     return Region(
         tuple(names), tuple(labels), tuple(units), values, covariance, factor=quantile(largest, LEVEL),
         ellipsoid=float(np.sqrt(chi2.ppf(LEVEL, max(count, 1)))), rho=quantile(np.linalg.norm(away, axis=1), LEVEL),

@@ -104,7 +104,7 @@ class Terms:
         mass = np.zeros((len(positions), n, n, size))
         for j, unit in enumerate(np.eye(n)):
             mass[:, :, j, :rank] = along(unit, moving=False)
-        mass[..., rank:] = model.drive_inertia()
+        stated, mass[..., rank:] = model.drive_inertia()
         gravity = np.zeros((len(positions), n, size))
         gravity[..., :rank] = model.rigid(positions, still, still)
         single = [along(unit, moving=True) for unit in np.eye(n)]
@@ -119,7 +119,7 @@ class Terms:
                     parts.append((both - single[j] - single[k]) / np.sqrt(2.0))
         coriolis = np.zeros((len(positions), n, len(parts), size))
         coriolis[..., :rank] = np.stack(parts, axis=2)
-        return cls(mass, model.stated_inertia(), coriolis, gravity)
+        return cls(mass, stated, coriolis, gravity)
 
     def mass_matrices(self, parameters: np.ndarray) -> np.ndarray:
         """Mass matrices (m, n, n) with parameters (k,)."""

@@ -31,7 +31,7 @@ def test_leaving_one_out_is_that_of_leaving_one_out():
     draws = np.random.default_rng(1).multivariate_normal(mean, covariance, 40, method="cholesky")
     away = draws - draws.mean(axis=0)
     found = left_out(mahalanobis(away, np.cov(draws.T)), len(draws))
-    single = left_out(largest_deviation(np.eye(4), draws.std(axis=0, ddof=1), away), len(draws))
+    single = left_out(largest_deviation(draws.std(axis=0, ddof=1), away), len(draws))
     for i in range(len(draws)):
         others = np.delete(draws, i, axis=0)
         d = draws[i] - others.mean(axis=0)
