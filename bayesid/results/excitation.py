@@ -189,11 +189,7 @@ class Excitation(ShownResult):
             "within_limits": self.within_limits, "limits": [{**asdict(u), "kept": u.kept} for u in self.limits],
             "diagnosability": None if self.diagnosability is None else {
                 "value": self.diagnosability.value, "hidden": self.diagnosability.hidden,
-                "effects": [
-                    {"effect": e.spec, "parameter": e.parameter, "unit": e.unit, "usual": e.usual, "smallest": e.smallest,
-                     "rival": e.rival, "share": e.share, "named": e.named}
-                    for e in self.diagnosability.effects
-                ],
+                "effects": [{**asdict(e), "named": e.named} for e in self.diagnosability.effects],
             },
             "quantities": [{"name": name, "unit": unit, "std": std} for name, unit, std in self.quantities],
             "rank": base.rank, "possible_rank": self.possible, "condition_number": self.condition_number,
@@ -307,10 +303,10 @@ def chance(probability: float) -> str:
 
 def pair_table(telling: Telling) -> ShownTable:
     """Each rival as the true one, and each other that it rules out."""
-    rows = [
-        [p.true, p.other, number(p.noncentrality, 3), f"{number(p.gain, 3)} ± {number(p.std, 2)}", chance(p.probability)]
-        for p in telling.pairs
-    ]
+    rows = []
+    for p in telling.pairs:
+        gained = f"{number(p.log_bayes_factor, 3)} ± {number(p.log_bayes_factor_std, 2)}"
+        rows.append([p.true, p.other, number(p.noncentrality, 3), gained, chance(p.probability)])
     return ShownTable(["if true", "rules out", "noncentrality", "log evidence", "probability"], rows, "k k n n nb")
 
 
@@ -321,14 +317,7 @@ def telling_dict(telling: Telling, file: str) -> dict[str, Any]:
         "file": file, "motion": t.label, "duration": float(t.trajectory.times[-1] - t.trajectory.times[0]),
         "probability": t.probability, "wrong": t.wrong, "sizes": "estimated" if t.estimated else "usual",
         "rivals": [{"effects": name, "probability": w} for name, w in zip(t.rivals, t.weights, strict=True)],
-        "pairs": [
-            {
-                "true": p.true, "other": p.other, "noncentrality": p.noncentrality, "log_bayes_factor": p.gain,
-                "log_bayes_factor_std": p.std, "probability": p.probability,
-            }
-            for p in t.pairs
-        ],
-        "tried": t.tried, "notes": list(t.notes),
+        "pairs": [asdict(p) for p in t.pairs], "tried": t.tried, "notes": list(t.notes),
     }  # fmt: skip
 
 

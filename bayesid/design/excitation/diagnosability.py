@@ -36,8 +36,8 @@ _NONE = (1e-9, 1e-8)
 class Detectable:
     """What a motion could show of one effect."""
 
-    #: The effect and its place; the parameter that gives its size.
-    spec: str
+    #: The effect and its place, ``name@where``; the parameter that gives its size.
+    effect: str
     parameter: str
     unit: str
     #: A usual size, and the smallest that stands out.

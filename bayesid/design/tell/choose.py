@@ -328,8 +328,8 @@ class RivalPair:
     other: str
     noncentrality: float  # what the best fit of the other leaves of the motion, in squared standard deviations
     #: Log evidence of the true one over the other afterwards: expected, and its standard deviation.
-    gain: float
-    std: float
+    log_bayes_factor: float
+    log_bayes_factor_std: float
     probability: float  # that the other is ruled out
 
 
