@@ -11,13 +11,12 @@ from bayesid.arguments import argument, call
 from bayesid.diagnosis.changes.findings import HiddenChange, NamedChange, ReferenceComparison, Value
 from bayesid.diagnosis.changes.held_out import Place
 from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
-from bayesid.effects import stated_of
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.results.files import SCHEMA, Files, ShownResult, strict
-from bayesid.results.fitted_model import placed
+from bayesid.results.fitted_model import fitted_model, placed
 from bayesid.rounding import DASH, HALF, channel_text, ends, number, percent, unit_text, with_half
 from bayesid.section import Cell, ShownTable, as_html, powers
 from bayesid.validation.own_fit import left_dict
@@ -71,14 +70,10 @@ class Changes(ShownResult):
     def model(self) -> tuple[tuple[str, ...], EffectParameters]:
         """The reference's model with the named changes: effects that came are fixed, for links could take them up again."""
         c = self.comparison
-        known = {t.effect.spec for t in c.terms if t.effect in c.reference.effects}
-        values: EffectParameters = {spec: dict(given) for spec, given in self.experiment.effect_values.items()}
+        _, values = fitted_model(self.experiment, (), c.terms)
         for term in c.terms:
-            spec = term.effect.spec
-            stated = stated_of(term.effect, self.experiment.effect_values, self.experiment.robot.joint_names)
-            fixed = spec not in known or stated.get("fixed", False)
-            found: dict[str, float | bool] = dict(zip(term.effect.parameters, term.values, strict=True))
-            values[spec] = {**found, "fixed": True} if fixed else found
+            if term.effect not in c.reference.effects:
+                values[term.effect.spec]["fixed"] = True
         return tuple(t.effect.spec for t in c.terms), values
 
     def __repr__(self) -> str:
