@@ -154,15 +154,6 @@ class Excitation(ShownResult):
             return float("nan")
         return float(np.exp((1.0 if self.criterion == "condition" else 0.5) * (self.value - self.random.max())))
 
-    def nearest(self, kind: str) -> LimitUse:
-        """The limit of a kind that the motion comes nearest to."""
-        return max((use for use in self.limits if use.kind == kind), key=lambda use: use.ratio)
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """The kinds of limits that there are."""
-        return tuple(dict.fromkeys(use.kind for use in self.limits))
-
     def to_dict(self) -> dict[str, Any]:
         """What ``excitation.json`` holds."""
         base, s, t = self.base, self.series, self.trajectory
@@ -228,8 +219,8 @@ class Excitation(ShownResult):
         rank, condition = f"{self.base.rank} of {self.possible}", number(self.condition_number, 3)
         lines.append(f"{rank} base parameters determined, condition number {condition}")
         rows = []
-        for kind in self.kinds:
-            use = self.nearest(kind)
+        for kind in dict.fromkeys(use.kind for use in self.limits):
+            use = max((use for use in self.limits if use.kind == kind), key=lambda use: use.ratio)
             rows.append([_KINDS[kind], use.where, f"{number(use.reached, 3)} {use.unit}", f"{number(use.limit, 3)} {use.unit}",
                          percent(use.ratio) if kind != "collision" else "kept" if use.kept else "broken"])  # fmt: skip
         lines.append(ShownTable(["nearest to its limit", "where", "reached", "allowed", "share"], rows))

@@ -192,6 +192,13 @@ class Task:
         """Scaled information matrix (r, r)."""
         return self.information.matrix(series.at(self.coordinates.times), self.recorded, self.step)
 
+    def offer(self, series: FourierSeries, found: TrajectorySearch) -> FourierSeries | None:
+        """Offer a motion, made smaller where that is needed to fit; returns it, or None where that does not help."""
+        fitted = scaled_to_fit(series, self.limits, self.fine, largest=1.0)
+        if fitted is not None:
+            found.offer(fitted, self.judged(fitted))
+        return fitted
+
     def quantity_stds(self, series: FourierSeries) -> tuple[float, ...]:
         """Expected standard deviations of the quantities."""
         motion = series.at(self.coordinates.times)
@@ -251,11 +258,8 @@ def search(
     found, rng = TrajectorySearch(), np.random.default_rng(seed)
     pool: list[tuple[float, FourierSeries]] = []
     try:
-        if warm is not None:
-            fitted = scaled_to_fit(warm, task.limits, task.fine, largest=1.0)
-            if fitted is not None:
-                found.offer(fitted, task.judged(fitted))
-                pool.append((-np.inf, fitted))
+        if warm is not None and (fitted := task.offer(warm, found)) is not None:
+            pool.append((-np.inf, fitted))
         for k in range(randoms):
             if pool and found.seconds > _FOR_RANDOMS * seconds:
                 break
@@ -282,9 +286,7 @@ def search(
     except KeyboardInterrupt:
         found.interrupted = True
         if found.best is None and pool:
-            fitted = scaled_to_fit(min(pool, key=lambda pair: pair[0])[1], task.limits, task.fine, largest=1.0)
-            if fitted is not None:
-                found.offer(fitted, task.judged(fitted))
+            task.offer(min(pool, key=lambda pair: pair[0])[1], found)
     found.close()
     return found
 
@@ -333,11 +335,9 @@ def _offer_within(task: Task, x: np.ndarray, found: TrajectorySearch) -> None:
     for margin in _MARGINS:
         inside = restored(task.limits, task.dense, x, margin)
         near = task.coordinates.series(x if inside is None else inside)
-        fitted = scaled_to_fit(near, task.limits, task.fine, largest=1.0)
-        if fitted is not None:
-            found.offer(fitted, task.judged(fitted))
-            if np.abs(fitted.sine).max() > _HARDLY * np.abs(near.sine).max():
-                return  # a larger margin would gain nothing
+        fitted = task.offer(near, found)
+        if fitted is not None and np.abs(fitted.sine).max() > _HARDLY * np.abs(near.sine).max():
+            return  # a larger margin would gain nothing
         if inside is None:
             return
 

@@ -127,13 +127,12 @@ def randomisation(found: IdentifiedRobot) -> dict[str, Any]:
             "inertia": {key: _summary(about[:, i, j], "kg m^2") for key, (i, j) in inertia.ENTRIES.items()},
         }  # fmt: skip
     joints: dict[str, dict[str, Any]] = {name: {} for name in robot.joint_names}
-    for k, name in enumerate(found.effect_names):
-        for effect in found.effects:
-            for key, unit in effect.units.items():
-                for constant, (kind, parameter) in JOINT_CONSTANTS.items():
-                    own = effect.joint is not None and (effect.name, key) == (kind, parameter)
-                    if own and name == f"{effect.spec}.{key}":
-                        joints[robot.joint_names[effect.joint or 0]][constant] = _summary(effects[:, k], unit)
+    for effect in found.effects:
+        for constant, (kind, key) in JOINT_CONSTANTS.items():
+            column = found.effect_columns.get(f"{effect.spec}.{key}")
+            if effect.name == kind and effect.joint is not None and column is not None:
+                drawn = effects[:, column - found.base.rank]
+                joints[robot.joint_names[effect.joint]][constant] = _summary(drawn, effect.units[key])
     return {"draws": len(links), "links": bodies, "joints": joints}
 
 
