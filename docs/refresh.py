@@ -11,7 +11,7 @@ from pathlib import Path
 
 import bayesid
 from bayesid.cli import main
-from bayesid.report.motion_figures import measured_against_predicted
+from bayesid.report.fit_figures import measured_against_predicted
 from bayesid.workflows.demo import demo_experiment
 
 DOCS = Path(__file__).resolve().parent

@@ -37,7 +37,7 @@ class Motion(Plots):
         The whole recording, where it is read in chunks; ``table`` is then an excerpt.
     """
 
-    report = "motion_figures"
+    report = "fit_figures"
     name: str
     role: Literal["identification", "validation"]
     table: Table

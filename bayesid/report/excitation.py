@@ -276,7 +276,7 @@ def _plain(value: Any) -> str:
 
 @figures_of.register
 def _(result: Excitation | DistinguishingMotion) -> Figures:
-    from bayesid.report.motion_figures import curves  # the report needs no matplotlib
+    from bayesid.report.fit_figures import curves  # the report needs no matplotlib
 
     planned = result.trajectory if isinstance(result, Excitation) else result.telling.trajectory
     groups = _groups(result) if isinstance(result, Excitation) else motion_groups(planned)

@@ -14,8 +14,7 @@ from bayesid.dynamics.base_parameters import BaseParameters, notation
 from bayesid.recordings.complaints import listed
 from bayesid.regression.problem import Problem
 from bayesid.report.accuracy import certificate_section
-from bayesid.report.identification_figures import bandwidth_sensitivity, intervals_figure
-from bayesid.report.motion_figures import measured_against_predicted, residuals
+from bayesid.report.fit_figures import bandwidth_sensitivity, intervals_figure, measured_against_predicted, residuals
 from bayesid.report.page import below, bullets, cards, figure, fold, how, lead, mood_of, note, page, physical, svg, warnings
 from bayesid.results.files import report_of
 from bayesid.results.identification import Identification

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from bayesid.design.payload.body import Quantity
 from bayesid.drawing import Figures, figures_of
 from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, styled
-from bayesid.report.motion_figures import measured_against_predicted
+from bayesid.report.fit_figures import measured_against_predicted
 from bayesid.report.page import below, cards, figure, how, note, page, svg, warnings
 from bayesid.results.files import report_of
 from bayesid.results.payload import SOURCES, Calibration, PayloadEstimate, cells

@@ -14,7 +14,7 @@ from bayesid.drawing import Figures, figures_of
 from bayesid.posterior.result import Posterior
 from bayesid.report.charts import CYCLE
 from bayesid.report.figures import CLASSES, GREY, NOISE, add_legend, make_grid, picked, styled
-from bayesid.report.motion_figures import measured_against_predicted, residuals
+from bayesid.report.fit_figures import measured_against_predicted, residuals
 from bayesid.report.page import below, cards, figure, fold, how, lead, page, svg, warnings
 from bayesid.results.files import report_of
 from bayesid.results.loaded import LoadedPosterior

@@ -167,7 +167,7 @@ class _WithParameters(Loaded):
 class LoadedIdentification(HasEstimate, _WithEffects, _WithPredictions):
     """What `bayesid.identify` found, read back: names, values, intervals, errors of predictions, links."""
 
-    report = "identification_figures"
+    report = "fit_figures"
 
     @property
     def estimate(self) -> Estimate:

@@ -9,8 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from bayesid.report.changes import gap_figure
 from bayesid.report.figures import to_svg
-from bayesid.report.identification_figures import parameter_intervals
-from bayesid.report.motion_figures import measured_against_predicted, noise_in_band, residuals
+from bayesid.report.fit_figures import measured_against_predicted, noise_in_band, parameter_intervals, residuals
 from bayesid.validation.prediction import Prediction, ResidualSpectrum
 
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
