@@ -11,7 +11,7 @@ from bayesid.arguments import argument, call
 from bayesid.diagnosis.changes.findings import HiddenChange, NamedChange, ReferenceComparison, Value
 from bayesid.diagnosis.changes.held_out import Place
 from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
-from bayesid.estimators.parameters import with_ends
+from bayesid.estimators.parameters import joined, with_ends
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters, write_model
@@ -96,8 +96,7 @@ class Changes(ShownResult):
             for v in (*x.values, *x.derived):
                 name, text, half, _, unit = value_text(v)
                 before = f" (reference {number(v.before)})" if x.change.known else ""
-                value = f"{text}{'' if half == DASH else f' ± {half}'} {powers(unit)}"
-                lines.append(f"  {x.change.spec}: {name} {value}".rstrip() + before)
+                lines.append(f"  {x.change.spec}: {name} {joined(text, half)} {powers(unit)}".rstrip() + before)
             if sentence := shares_sentence(x, c):
                 lines.append(f"  {sentence}")
         return [*lines, gap_sentence(c), *(f"warning: {w}" for w in self.warnings), *_open(c)]
@@ -456,4 +455,4 @@ class Watch(ShownResult):
 def _change_text(x: NamedChange) -> str:
     """``payload@joint6 m 2.78 ± 0.22 kg``."""
     name, text, half, _, unit = value_text(x.values[0])
-    return f"{x.change.spec} {name} {text}{'' if half == DASH else f' ± {half}'} {powers(unit)}".rstrip()
+    return f"{x.change.spec} {name} {joined(text, half)} {powers(unit)}".rstrip()

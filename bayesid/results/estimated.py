@@ -84,7 +84,11 @@ class PlotsPredictions(Plots):
         """
         return figures_of(self)["predictions"](_predicted(self, motion), channels, ax)
 
-    plot = plot_predictions
+    def plot(
+        self: HasPredictions, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None
+    ) -> Figure:
+        """Draw measured and predicted readings; as `plot_predictions`."""
+        return figures_of(self)["predictions"](_predicted(self, motion), channels, ax)
 
     def plot_residuals(
         self: HasPredictions, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from bayesid.design.payload.body import BodyKnowledge, Quantity, about_centre
 from bayesid.design.payload.poses import NextPoses
 from bayesid.errors import InputError
-from bayesid.estimators.parameters import with_ends
+from bayesid.estimators.parameters import joined, with_ends
 from bayesid.results.controllers import FORMATS, Load
 from bayesid.results.files import SCHEMA, Files, ShownResult, strict
 from bayesid.results.identification import Identification
@@ -72,7 +72,7 @@ class EffectBeside:
 
 def _value(name: str, value: float, std: float, unit: str) -> str:
     text, half = with_half(value, HALF * std)
-    return f"{name} {text}{'' if half == DASH else f' ± {half}'} {unit_text(unit)}".rstrip()
+    return f"{name} {joined(text, half)} {unit_text(unit)}".rstrip()
 
 
 @dataclass(frozen=True, eq=False)
