@@ -117,6 +117,22 @@ def noise_floor(problem: Problem, channel: str | None = None) -> NoiseFloor | No
     return NoiseFloor(sensor, encoder, source, top)
 
 
+def pose_floor(problem: Problem, poses: Sequence[Segment], solution: np.ndarray) -> NoiseFloor | None:
+    """The floor of readings at rest, the data sheet's and what encoder errors make of a prediction; None where none is stated.
+
+    Averaged one by one, they do not show their noise themselves.
+    """
+    sensor = stated_noise(problem.experiment, problem.channel)
+    if sensor is None:
+        return None
+    given = problem.experiment
+    stated = replace(problem.smoother, resolution=given.position_resolution or 0.0, stated=given.position_std or 0.0)
+    law, _ = errors_of(replace(problem.row_model, filters=None), poses, stated)
+    drawn = law.misread(_DRAWS, solution) if stated.resolution or stated.stated else []
+    encoder = np.mean([np.concatenate(errors) ** 2 for errors in drawn], axis=(0, 1)) if drawn else np.zeros(len(sensor))
+    return NoiseFloor(sensor, np.tile(encoder, (_BINS, 1)), DATA_SHEET, _LOWEST_TOP)
+
+
 def _with_usual_model(problem: Problem, channel: str) -> Problem:
     """Readings with the model that noise is measured with; of a recording that is read in chunks, of its excerpt.
 

@@ -26,7 +26,7 @@ from bayesid.regression.row_cache import few_of, row_count
 from bayesid.regression.segment import Segment
 from bayesid.signals.noise import NoiseModel
 from bayesid.validation.flexible import BAND, FlexibleGap
-from bayesid.validation.noise_floor import RESIDUALS, NoiseFloor, noise_floor
+from bayesid.validation.noise_floor import RESIDUALS, NoiseFloor, noise_floor, pose_floor
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -195,7 +195,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
     rmse_raw, scale_raw = np.sqrt(np.sum(raw, axis=0) / len(y))
     pick = slice(None, None, max(-(-len(y) // _PLOTTED), 1))
     if all(r.poses for r in moving):
-        floor = None  # averaged one by one: nothing shows their noise
+        floor = pose_floor(problem, moving, estimate.solution)
     by_channel, expected, coverage, spectrum = _whitened(problem, estimate, motion.name, moving)
     if floor is not None:
         by_channel = floor.ratio(residuals, float(np.median(np.diff(times[0]))), BAND)

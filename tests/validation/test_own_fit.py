@@ -11,8 +11,11 @@ from bayesid.errors import BayesidError
 from bayesid.estimators.nonlinear import default_method
 from bayesid.regression.options import FitOptions
 from bayesid.results.files import report_of
+from bayesid.simulation.trajectories import Trajectory
 from bayesid.validation.own_fit import before_and_after, left_text
+from bayesid.validation.prediction import judged
 from tests.malformed import DATA
+from tests.robots import wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 REAL = sorted(path.parent for path in (DATA / "data").glob("**/experiment.toml"))
@@ -135,3 +138,24 @@ def test_base_parameters_move_as_identify_estimates_them(robot):
     unfitted = replace(found, shifts=(), errors=tuple(replace(e, after=None) for e in found.errors))
     page = report_of(unfitted)
     assert "has not fitted both models" in page and "Hardly anything" not in page
+
+
+@pytest.mark.parametrize("resolution", [1e-5, 2e-2])
+def test_poses_are_compared_with_the_noise_that_is_stated(tmp_path, resolution):
+    """And with what encoder counts make of the prediction; without stated noise nothing tells theirs."""
+    robot = bayesid.load_robot(write(tmp_path, wrist_sensor_arm()), sensor_joint="wrist_ft")
+    arm = experiment(robot, [], Sensor("wrist_ft", force_std=0.05, torque_std=0.003), position_resolution=resolution)
+    rng = np.random.default_rng(1)
+    paths = []
+    for name, role, count in (("poses", "identification", 40), ("check", "validation", 60)):
+        q = rng.uniform(-2.5, 2.5, (count, robot.n))
+        paths.append(Trajectory(name, role, np.arange(float(count)), q, 0.0 * q, 0.0 * q, kind="poses"))
+    recorder = bayesid.Recorder(force_std=0.05, torque_std=0.003, resolution=resolution)
+    made = bayesid.simulate(arm, paths, recorder=recorder, seed=2)
+    (left,) = bayesid.identify(made, progress=None).validation
+    assert (left.noise_source, left.noise_known) == ("data sheet", True)
+    assert left.whitened_rms == pytest.approx(left.expected_rms, abs=0.15)
+    assert resolution < 1e-3 or np.sqrt(np.mean((left.residuals / np.repeat([0.05, 0.003], 3)) ** 2)) > 2.0 * left.whitened_rms
+    assert judged(left).mood == "good"
+    unstated = replace(made, sensor=replace(made.sensor, force_std=None, torque_std=None))
+    assert not bayesid.identify(unstated, progress=None).validation[0].noise_known
