@@ -77,7 +77,7 @@ def covariance_middle(regression: Regression, weights: Weights, scale: dict[str,
     if exact:
         middle = factor.matrix.T @ factor.matrix
     else:
-        middle = whitened_middle(regression, weights) if scale is None else sandwich_middle(regression, weights.noise, scale)
+        middle = whitened_middle(regression, weights) if scale is None else sandwich_middle(regression, weights.unsure(), scale)
     corrected = with_encoder_errors(regression, weights, scale, factor.inverse, middle)
     if exact:
         return Middle(corrected, 1.0)
@@ -280,7 +280,7 @@ def encoder_growth(regression: Regression, weights: Weights, scale: dict[str, np
 
     Arguments are those of `with_encoder_errors`.
     """
-    middle = sandwich_middle(regression, weights.noise, scale)
+    middle = sandwich_middle(regression, weights.unsure(), scale)
     corrected = with_encoder_errors(regression, weights, scale, inverse, middle)
     if corrected is None:
         return np.ones(len(inverse))
@@ -304,13 +304,14 @@ def sensor_alone(
     noise = {}
     for group in weights.noise:
         own = [b for b in pilot if b.group == group]
-        noise[group] = sensor_noise(
+        found = sensor_noise(
             [b.target - b.matrix @ values for b in own],
             [[error for g, error in rows if g == group] for rows in drawn[:SPECTRA]],
             [regressor_times(b, taken) for b in own],
             regression.rows.known_poles if group == "trajectory" else None,
             coloured=group != "poses",
         )
+        noise[group] = replace(found, degrees=weights.noise[group].degrees)
     return noise
 
 
@@ -318,4 +319,4 @@ def _split(regression: Regression, weights: Weights, law: RegressorNoise, few: _
     """Many draws, and the noise of the sensor alone."""
     draws = replace(few, errors=law.misread(min(_MANY, law.draws or _MANY), weights.solution))
     drawn = [[(b.group, e) for b, e in zip(draws.blocks, errors, strict=True)] for errors in draws.errors]
-    return draws, sensor_alone(regression, weights, weights.solution, drawn)
+    return draws, weights.unsure(sensor_alone(regression, weights, weights.solution, drawn))

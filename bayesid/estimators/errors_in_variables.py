@@ -209,7 +209,7 @@ class TotalLeastSquares:
         draws = [(Pair(b, b) for b in law.simulated(k)) for k in range(count)]
         noise, extra = split_noise(regression, start, solution, law, draws)
         ordinary = meat = start.spread(noise, regression.rows.blocks()) + extra
-        if start.weights.widened:
+        if start.weights.widened or "poses" in noise:
             meat = start.spread(start.weights.dispersed(noise), regression.rows.blocks()) + start.weights.dispersion * extra
         if not start.weights.complete:
             # What the model lacks has the colour of the motion, as encoder errors have, and looks like them: noise as

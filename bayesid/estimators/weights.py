@@ -80,8 +80,12 @@ class Weights:
 
     def dispersed(self, noise: dict[str, NoiseModel] | None = None) -> dict[str, NoiseModel]:
         """Noise (default `noise`) as large as the scatter between parts of the recording says, and as few rows leave it open."""
+        return {g: m.scaled(self.factors) for g, m in self.unsure(noise).items()}
+
+    def unsure(self, noise: dict[str, NoiseModel] | None = None) -> dict[str, NoiseModel]:
+        """Noise (default `noise`) as large as few rows of a group leave it open."""
         noise = self.noise if noise is None else noise
-        return {g: m.scaled(self.factors * student_factor(m.degrees)) for g, m in noise.items()}
+        return {g: m.scaled(student_factor(m.degrees)) for g, m in noise.items()}
 
 
 def learn_weights(regression: Regression) -> Weights:

@@ -1,17 +1,23 @@
 """Encoder errors in the covariance of efficient fits, against repeated recordings and plain formulas."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import norm, t
 
+from bayesid import Recorder, fourier_trajectory, load_robot, simulate
 from bayesid.estimators import fit
-from bayesid.estimators.covariance import sandwich_middle, with_encoder_errors
+from bayesid.estimators.covariance import may_matter, sandwich_middle, with_encoder_errors
 from bayesid.estimators.least_squares import weighted_factor
 from bayesid.estimators.weights import learn_weights
 from bayesid.posterior.likelihood import Likelihood
 from bayesid.regression.encoder_noise import _errors
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import Regression
+from bayesid.signals.noise import student_factor
+from bayesid.simulation.trajectories import Trajectory
+from tests.robots import wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 TRUTH = np.array([1.0, -2.0, 0.5])
@@ -141,3 +147,18 @@ def test_counts_of_a_slow_joint_are_not_taken_for_white_noise(tmp_path):
     np.testing.assert_allclose(error.std(axis=0), resolution / 12**0.5, rtol=0.05)
     slow, fast = (np.corrcoef(e[1:], e[:-1])[0, 1] for e in error.T)
     assert slow > 0.95 and fast < 0.3
+
+
+def test_few_poses_are_as_unsure_beside_a_motion_whose_encoders_err_a_little(tmp_path):
+    """Student's factor of their noise counts whether or not encoder errors are told apart from the sensor's noise."""
+    robot = load_robot(write(tmp_path, wrist_sensor_arm()), sensor_joint="wrist_ft")
+    arm = experiment(robot, [], Sensor("wrist_ft", np.array([0.0, 0.0, 0.02])), position_resolution=1e-5)
+    q = np.random.default_rng(1).uniform(-2.5, 2.5, (6, robot.n))
+    poses = Trajectory("poses", "identification", np.arange(6.0), q, 0.0 * q, 0.0 * q, kind="poses")
+    path = [fourier_trajectory(robot, duration=1.5, seed=3), poses]
+    recorder = Recorder(force_std=0.05, torque_std=0.003, resolution=1e-5)
+    regression = prepare(simulate(arm, path, recorder=recorder, seed=1)).regression
+    weights = learn_weights(regression)
+    assert may_matter(regression, weights) and student_factor(weights.noise["poses"].degrees) > 1.1
+    beside, without = (fit(r, "wls").std for r in (regression, replace(regression, regressor_noise=None)))
+    np.testing.assert_allclose(beside, without, rtol=1e-3)
