@@ -9,17 +9,15 @@ import numpy as np
 from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.readings import has_readings, make_channels, readings_of
-from bayesid.signals.smoothing import smooth
 from bayesid.validation.mistakes.candidates import Mistake
-from bayesid.validation.mistakes.evidence import WORSE, friction_columns, independent_samples, offset_columns
-from bayesid.validation.mistakes.samples import BANDWIDTH
+from bayesid.validation.mistakes.evidence import WORSE, columns_beside, independent_samples
+from bayesid.validation.mistakes.samples import MARGIN, splined
 
 _STEP, _LONGEST = 0.01, 0.5  # of the delays that are tried [s]
 _SHARE = 0.1  # of the shortest piece, at most
 _SHORTEST, _LONG = 2.0, 0.25  # of pieces [s], and as a share of the longest
 _SAMPLES, _SMOOTHED = 400, 20_000
 _PARTS = 8  # of all recordings, which must agree
-_MARGIN = 0.75 / BANDWIDTH  # ends of a spline are loose [s]
 #: Log odds against no delay that it needs: as any other mistake (`bayesid.validation.mistakes.search`).
 _NEEDED = 13.8
 _EXPLAINED = 0.005  # share of its variation to which a channel is explained at most
@@ -89,30 +87,20 @@ def delay_profile(experiment: Experiment, channel: str) -> Profile | None:
     motions, read, index = [], [], []
     for (recording, times, positions, values), duration in zip(pieces, durations, strict=True):
         count = max(int(_SAMPLES * duration / sum(durations)), 2)
-        edge = _MARGIN + delays[-1]
+        edge = MARGIN + delays[-1]
         at = np.linspace(times[0] + edge, times[-1] - edge, count)
-        bandwidth = min(BANDWIDTH, 0.2 * (len(times) - 1) / duration)
-        middle, offset = positions.mean(axis=0), values.mean(axis=0)
-        q, v, a = smooth(times, positions - middle, bandwidth, at=at)
-        motions.append((q + middle, v, a))
+        motions.append(splined(times, positions, at))
         when = (at + delays[:, None]).ravel()
         order = np.argsort(when)
         later = np.empty((len(when), values.shape[1]))
-        later[order] = smooth(times, values - offset, bandwidth, at=when[order])[0]
-        read.append((later + offset).reshape(len(delays), count, -1))
+        later[order] = splined(times, values, when[order])[0]
+        read.append(later.reshape(len(delays), count, -1))
         index.append(np.full(count, recording))
     q, v, a = (np.concatenate([m[k] for m in motions]) for k in range(3))
-    design = _columns(experiment, channel, (q, v, a), np.concatenate(index))
-    return _profile(delays, design, np.concatenate(read, axis=1).transpose(1, 2, 0), len(delays) // 2)
-
-
-def _columns(experiment: Experiment, channel: str, motion: tuple[np.ndarray, ...], index: np.ndarray) -> np.ndarray:
-    """Columns of the bodies and of all that is beside them (N, c, p)."""
     channels = make_channels(experiment, channel)
-    rigid = Kernel.of(experiment.robot, channels).dynamics(*motion)
-    if channel == "wrench":
-        return np.concatenate([rigid, offset_columns(index, len(channels))], axis=2)
-    return np.concatenate([rigid, friction_columns(*motion[1:])[:, list(experiment.torque_joints)]], axis=2)
+    rigid = Kernel.of(experiment.robot, channels).dynamics(q, v, a)
+    design = np.concatenate([rigid, columns_beside(channels, v, a, np.concatenate(index))], axis=2)
+    return _profile(delays, design, np.concatenate(read, axis=1).transpose(1, 2, 0), len(delays) // 2)
 
 
 def _profile(delays: np.ndarray, design: np.ndarray, read: np.ndarray, none: int) -> Profile:

@@ -78,12 +78,17 @@ def usual_bodies(robot: Robot) -> np.ndarray:
     return np.array(out)
 
 
-def friction_columns(velocities: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
-    """Viscous and Coulomb friction, rotor inertia, and an offset of either sign of every joint torque (N, n, 5 n).
+def columns_beside(channels: Channels, velocities: np.ndarray, accelerations: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """What readings hold beside the bodies, at samples (N, n) of recordings (N,): columns (N, c, k) with factors from zero.
 
-    None of their factors can be negative, so that no drive is pushed by its friction.
+    Viscous and Coulomb friction, rotor inertia, and an offset of either sign of every joint torque: no drive is pushed by its
+    friction. Of a wrench, an offset of either sign of every channel in every recording.
     """
     count, n = velocities.shape
+    if not channels.names[0].startswith("tau"):
+        both = np.hstack([np.eye(len(channels)), -np.eye(len(channels))])
+        mine = motion[:, None] == np.unique(motion)
+        return (mine[:, None, :, None] * both[None, :, None, :]).reshape(count, len(channels), -1)
     out = np.zeros((count, n, 5 * n))
     for j in range(n):
         usual = np.sqrt(np.mean(velocities[:, j] ** 2))
@@ -92,14 +97,7 @@ def friction_columns(velocities: np.ndarray, accelerations: np.ndarray) -> np.nd
         out[:, j, 5 * j + 1] = turn
         out[:, j, 5 * j + 2] = accelerations[:, j]
         out[:, j, 5 * j + 3], out[:, j, 5 * j + 4] = 1.0, -1.0
-    return out
-
-
-def offset_columns(motion: np.ndarray, channels: int) -> np.ndarray:
-    """An offset of either sign of every channel in every recording, by the recordings of samples (N,): (N, c, 2 c m)."""
-    both = np.hstack([np.eye(channels), -np.eye(channels)])
-    mine = motion[:, None] == np.unique(motion)
-    return (mine[:, None, :, None] * both[None, :, None, :]).reshape(len(motion), channels, -1)
+    return out[:, channels.joint]
 
 
 #: A channel explained to this share of its variation is explained; a better fit is no evidence for anything.
@@ -296,8 +294,7 @@ class Explainer:
             basis = np.column_stack([rigid[:, j], beside[:, j, np.any(beside[:, j] != 0.0, axis=0)]])
             vectors, sizes, _ = np.linalg.svd(basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-300), full_matrices=False)
             vectors = vectors[:, sizes > 1e-9 * sizes[0]]
-            left = self.samples.readings - vectors @ (vectors.T @ self.samples.readings)
-            out[:, j] = np.sqrt(np.mean(left**2, axis=0))
+            out[:, j] = _rms(self.samples.readings - vectors @ (vectors.T @ self.samples.readings))
         return out
 
     @cached_property
@@ -337,8 +334,7 @@ class Explainer:
         products = weights @ np.einsum("ncm,nc->cm", columns, target, optimize=True)
         free = expand if fixed is None else expand[:, 1:]
         factors = _non_negative(free.T @ np.tensordot(weights, squares, 1) @ free, free.T @ products, _HARDLY_ANY)
-        left = np.sqrt(np.mean((target - columns @ (free @ factors)) ** 2, axis=0))
-        return (factors if fixed is None else np.append(fixed, factors)), left
+        return (factors if fixed is None else np.append(fixed, factors)), _rms(target - columns @ (free @ factors))
 
     def _target(self, change: Change) -> np.ndarray:
         """Readings as recorded, with the weight that they lack (N, c)."""
@@ -387,11 +383,8 @@ class Explainer:
         if change.weightless:
             rows = list(change.weightless)
             rigid[:, rows] = kernel.dynamics(*motion, gravity=False)[:, rows]
-        if self.torque:
-            more = friction_columns(*motion[1:])[:, self.channels.joint]
-        else:
-            more = offset_columns(s.motion, len(self.channels))
-        self._designs[key] = Design(np.concatenate([rigid, more], axis=2))
+        beside = columns_beside(self.channels, *motion[1:], s.motion)
+        self._designs[key] = Design(np.concatenate([rigid, beside], axis=2))
         return self._designs[key]
 
     def _log_likelihood(self, left: np.ndarray) -> float:

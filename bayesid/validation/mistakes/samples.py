@@ -17,6 +17,7 @@ BANDWIDTH = 5.0
 _SAMPLES = 300
 _POSES = 100
 _SHORTEST = 4.0 / BANDWIDTH
+MARGIN = 0.75 / BANDWIDTH  # the ends of a spline are loose: there it has data on one side only [s]
 #: Of a long recording, so many samples are smoothed, in pieces spread over it.
 _SMOOTHED = 40_000
 _PIECES = 8
@@ -88,14 +89,17 @@ def low_passed(experiment: Experiment, channel: str) -> Samples | None:
 def _smoothed(piece: _Piece, count: int) -> tuple[np.ndarray, ...]:
     """So many samples of a piece: positions, velocities, accelerations, readings."""
     _, times, positions, read = piece
-    # The ends of a spline are loose: there it has data on one side only.
-    margin = 0.75 / BANDWIDTH
-    bandwidth = min(BANDWIDTH, 0.2 * (len(times) - 1) / _duration(piece))
-    at = np.linspace(times[0] + margin, times[-1] - margin, count)
-    both = np.hstack([positions, read])
-    centre, n = both.mean(axis=0), positions.shape[1]
-    smoothed, rate, bend = smooth(times, both - centre, bandwidth, at=at)
-    return (smoothed + centre)[:, :n], rate[:, :n], bend[:, :n], (smoothed + centre)[:, n:]
+    both, rates, bends = splined(times, np.hstack([positions, read]), np.linspace(times[0] + MARGIN, times[-1] - MARGIN, count))
+    n = positions.shape[1]
+    return both[:, :n], rates[:, :n], bends[:, :n], both[:, n:]
+
+
+def splined(times: np.ndarray, values: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values (N, k) of times (N,) in the low band, their first and second derivatives, at other times (m,): (m, k) each."""
+    bandwidth = min(BANDWIDTH, 0.2 * (len(times) - 1) / float(times[-1] - times[0]))
+    centre = values.mean(axis=0)
+    smoothed, rates, bends = smooth(times, values - centre, bandwidth, at=at)
+    return smoothed + centre, rates, bends
 
 
 def _duration(piece: _Piece) -> float:
