@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from bayesid.arguments import argument, call
@@ -88,6 +89,11 @@ class Sensor:
             std = getattr(self, name)
             if std is not None and not 0.0 < std < np.inf:
                 raise InputError(f"sensor {name}: {std} is no sensor's noise; give a number above 0, or None if it is not known")
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """Orientation of its frame as a matrix (3, 3)."""
+        return pin.rpy.rpyToMatrix(*map(float, self.rpy))
 
 
 @dataclass(frozen=True, eq=False)

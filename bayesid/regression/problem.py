@@ -159,6 +159,12 @@ class Problem:
         return [segment for name in self.fitted for segment in self.segments[name]]
 
     @property
+    def options(self) -> FitOptions:
+        """What makes a problem like it, at the bandwidth that was chosen."""
+        static, bandwidth = "motion" if self.subtracts else "joint", self.smoother.bandwidth
+        return FitOptions(self.channel, self.row_model.filters, self.fitted, self.effects, static, bandwidth)
+
+    @property
     def at_rest(self) -> bool:
         """Whether poses at rest are all that is fitted."""
         return all(segment.poses for segment in self.fitted_segments)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
 from bayesid.arguments import argument
 from bayesid.dynamics.channels import Channels, stack_channels, torque_channels, wrench_channels
@@ -31,8 +30,7 @@ def make_channels(experiment: Experiment, channel: str) -> Channels:
     if experiment.sensor is None:
         toml = "experiment.toml" if experiment.folder is None else experiment.folder / "experiment.toml"
         raise InputError(f"{toml}: [sensor] is missing; add it, or use {argument('channel', 'torque')}")
-    rotation = pin.rpy.rpyToMatrix(*map(float, experiment.sensor.rpy))
-    wrench = wrench_channels(experiment.robot, rotation, experiment.sensor.translation)
+    wrench = wrench_channels(experiment.robot, experiment.sensor.rotation, experiment.sensor.translation)
     if channel == "wrench":
         return wrench
     return stack_channels(wrench, torque_channels(experiment.robot).only(experiment.torque_joints))

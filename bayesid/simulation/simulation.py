@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from scipy.linalg import expm
 
 from bayesid.arguments import argument
@@ -273,8 +272,7 @@ class _Bench:
         self.torque = torque_channels(self.robot)
         self.wrench = None
         if setup.sensor is not None:
-            rotation = pin.rpy.rpyToMatrix(*map(float, setup.sensor.rpy))
-            self.wrench = wrench_channels(self.robot, rotation, setup.sensor.translation)
+            self.wrench = wrench_channels(self.robot, setup.sensor.rotation, setup.sensor.translation)
         effort = np.where(np.isfinite(self.robot.effort_limit), self.robot.effort_limit, ANY_EFFORT)
         self.drive_std = (recorder.drive_std or 0.0) * effort
 

@@ -22,7 +22,6 @@ from bayesid.estimators.factor import reduce_scaled
 from bayesid.estimators.nonlinear import solve
 from bayesid.estimators.weights import SMALLEST_AGREEMENT, Weights
 from bayesid.regression import hypothesis_tests, linalg
-from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import in_order
 from bayesid.regression.problem import Problem, absorbed_offset, prepare, relinearised, restrict, weight_columns
 from bayesid.regression.readings import make_channels
@@ -145,9 +144,7 @@ def _as_stated(problem: Problem) -> Problem:
     for e in row_model.effects:
         if given := stated_of(e, experiment.effect_values, experiment.robot.joint_names):
             values[e.spec] = {**{q.name: 0.0 for q in e.quantities if q.linear}, **given}
-    static = "motion" if problem.subtracts else "joint"
-    options = FitOptions(problem.channel, row_model.filters, problem.fitted, list(values), static, problem.smoother.bandwidth)
-    return prepare(replace(experiment, effect_values=values), options)
+    return prepare(replace(experiment, effect_values=values), replace(problem.options, effects=list(values)))
 
 
 def _at_nominal(problem: Problem) -> Problem:
@@ -244,8 +241,7 @@ def _fit_of(problem: Problem, method: str | Estimator, motions: Sequence[str]) -
     moves = any(not segment.poses for name in motions for segment in problem.segments[name])
     try:
         if problem.at_rest and moves:  # its parameters are those of poses, without inertias
-            static = "motion" if problem.subtracts else "joint"
-            options = FitOptions(problem.channel, problem.row_model.filters, motions, problem.effects, static)
+            options = replace(problem.options, motions=motions, bandwidth=None)
             return fit(prepare(problem.experiment, options).regression, method)
         return fit(restrict(problem, motions).regression, method)
     except (BayesidError, ArithmeticError, np.linalg.LinAlgError):
@@ -278,20 +274,12 @@ def wrench_against_torque(problem: Problem, method: str | Estimator) -> Agreemen
 
     The wrench never sees friction, and its base parameters contain the torque's.
     """
-    experiment, row_model = problem.experiment, problem.row_model
-    names = list(problem.fitted)
-    effects = [e.spec for e in row_model.effects]
-    wrench, torque = (
-        solve(
-            prepare(experiment, FitOptions(channel, row_model.filters, names, effects, "joint", problem.smoother.bandwidth)),
-            method,
-        )[1]
-        for channel in ("wrench", "torque")
-    )
+    experiment = problem.experiment
+    options = replace(problem.options, effects=[e.spec for e in problem.row_model.effects], static="joint")
+    wrench, torque = (solve(prepare(experiment, replace(options, channel=c)), method)[1] for c in ("wrench", "torque"))
     if wrench.full_covariance is None or wrench.covariance is None or torque.covariance is None:
         return None
-    at_rest = all(r.poses for n in names for r in problem.segments[n])
-    full = structural_base(experiment.robot, make_channels(experiment, "torque"), at_rest=at_rest)
+    full = structural_base(experiment.robot, make_channels(experiment, "torque"), at_rest=problem.at_rest)
     # Rows of K_torque as combinations of K_wrench.
     relation, inside = spanned(full.matrix, wrench.base.matrix)
     hidden = linalg.unshown(wrench.full_covariance, wrench.undetermined)[: wrench.base.rank]
@@ -306,7 +294,5 @@ def static_both_ways(problem: Problem, method: str | Estimator) -> Estimate | No
     """The estimate with the stop-and-go run fitted along instead of subtracted, where there is one."""
     if problem.static != "motion":
         return None
-    row_model = problem.row_model
-    effects = [e.spec for e in row_model.effects if not e.estimated_without_static_run]
-    options = FitOptions(problem.channel, row_model.filters, problem.fitted, effects, "joint", problem.smoother.bandwidth)
-    return solve(prepare(problem.experiment, options), method)[1]
+    effects = [e.spec for e in problem.row_model.effects if not e.estimated_without_static_run]
+    return solve(prepare(problem.experiment, replace(problem.options, effects=effects, static="joint")), method)[1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -179,11 +180,7 @@ def _bench(
     problem, estimate = given.problem, given.estimate
     if method is None and estimate.method not in METHODS:
         raise InputError(f"accuracy: the estimator '{estimate.method}' is your own; pass it as method, too")
-    smoother = problem.smoother
-    own = FitOptions(
-        problem.channel, problem.row_model.filters, problem.fitted, problem.effects,
-        "motion" if problem.subtracts else "joint", smoother.bandwidth if smoother.reason == "as given" else None,
-    )  # fmt: skip
+    own = problem.options if problem.smoother.reason == "as given" else replace(problem.options, bandwidth=None)
     return make_bench(problem.experiment, chosen or estimator(estimate.method), own, problem, estimate, nominal=nominal)
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 
 from bayesid.arguments import argument
 from bayesid.design.payload.body import BodyKnowledge, Quantity
@@ -181,11 +180,10 @@ def _load(fit: Identification, experiment: Experiment, known: BodyKnowledge | No
         return None
     sensor, urdf = experiment.sensor, experiment.robot.description
     centre = np.array([q.value for q in known.centre])
-    turn = pin.rpy.rpyToMatrix(*map(float, sensor.rpy))
     frame = urdf.joints[str(sensor.joint)].child
     return Load(
         known.mass.value, centre, None, frame, urdf.root_link, experiment.robot.gravity, frame,
-        turn.T @ (centre - sensor.translation), np.asarray(fit.offset[0]),
+        sensor.rotation.T @ (centre - sensor.translation), np.asarray(fit.offset[0]),
     )  # fmt: skip
 
 

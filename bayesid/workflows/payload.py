@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 
 from bayesid.arguments import argument, call
 from bayesid.design.payload.body import BodyKnowledge, Quantity
@@ -354,8 +353,7 @@ def _in_sensor(found: _Found, experiment: Experiment) -> np.ndarray | None:
     sensor = experiment.sensor
     if sensor is None or not all(q.shown for q in found.known.centre):
         return None
-    rotation = pin.rpy.rpyToMatrix(*map(float, sensor.rpy))
-    return rotation.T @ (np.array([q.value for q in found.known.centre]) - sensor.translation)
+    return sensor.rotation.T @ (np.array([q.value for q in found.known.centre]) - sensor.translation)
 
 
 def _next_sentence(more: NextPoses) -> str:

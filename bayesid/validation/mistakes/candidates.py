@@ -216,7 +216,7 @@ def in_words(words: Sequence[str]) -> str:
 def of_wrench(sensor: Sensor) -> list[Candidate]:
     """Signs, order, units and frame of a wrench, sensor frame, moments about the sensor origin."""
     forces, moments, both = (0, 1, 2), (3, 4, 5), np.eye(2)
-    rotation = pin.rpy.rpyToMatrix(*map(float, sensor.rpy))
+    rotation = sensor.rotation
     shift = rotation.T @ sensor.translation
     table = [
         ("wrench_sign", "", "the wrench seems to be that of the robot on the sensor",
@@ -281,8 +281,7 @@ def in_base_axes(rotations: np.ndarray) -> list[Candidate]:
 
 def base_axes(robot: Robot, sensor: Sensor, positions: np.ndarray) -> np.ndarray:
     """Rotation of a moving sensor in the base frame at each sample (N, 3, 3)."""
-    on_link = robot.sensor_rotation @ pin.rpy.rpyToMatrix(*map(float, sensor.rpy))
-    return link_placement(robot, robot.sensor_parent, positions)[0] @ on_link
+    return link_placement(robot, robot.sensor_parent, positions)[0] @ (robot.sensor_rotation @ sensor.rotation)
 
 
 def link_placement(robot: Robot, joint: int, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
