@@ -222,24 +222,23 @@ def _warnings(
     """What the user should know, most important first."""
     done = [e for e in entries if e.estimate is not None]
     out: list[str] = []
+    no_use: list[str] = []
     if problem is not None:
         estimates = [e.estimate for e in done if e.estimate is not None]
         sure = next((e for e in estimates if e.full_covariance is not None), estimates[0])
-        out = [*unseen_effects(problem), *without_static_run(problem), *too_late(problem), *not_settled(problem, sure)]
-    out += repeated_motions(done[0].validation)
-    no_use: list[str] = []
-    if problem is not None:
         every = [p for e in done for p in e.validation]
         mistakes = mistaken(problem, every, False) if useless(every) else []
         no_use = unusable(problem, every, mistakes)
-        out += mistakes
-    if baselines:
-        out += _beaten(done, baselines[-1], "nominal model with its effects fitted" if len(baselines) > 1 else "nominal model")
-    if problem is not None and not done[0].validation:
-        out.append(
-            "No validation motion: the errors are those of fitted motions and say little about others. "
-            'Add one with role = "validation".'
-        )
+        nominal = "nominal model with its effects fitted" if len(baselines) > 1 else "nominal model"
+        out = [
+            *unseen_effects(problem), *without_static_run(problem), *too_late(problem), *not_settled(problem, sure),
+            *repeated_motions(done[0].validation), *mistakes, *_beaten(done, baselines[-1], nominal),
+        ]  # fmt: skip
+        if not done[0].validation:
+            out.append(
+                "No validation motion: the errors are those of fitted motions and say little about others. "
+                'Add one with role = "validation".'
+            )
     if not weights.complete:
         out.append(incomplete(weights.dispersion, weights.dispersion_by_channel))
     for names in equal_estimates(done):
