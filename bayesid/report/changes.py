@@ -53,7 +53,7 @@ def changes_report(result: Changes) -> str:
         ShownSection("The gap, and what closes it", [
             f"The recording was cut into {c.errors.segments} parts. Each was predicted from what the others say, in units of "
             f"what the recording's own fit of the same model leaves: {results.gap_sentence(c)}.",
-            figure(waterfall(_steps(c), c.errors.floor),
+            figure(svg(waterfall(_steps(c), c.errors.floor), "waterfall"),
                    "Mean square of the residual on parts that were held out; numbers are its root. Green: what a step takes of "
                    "the gap."),
             _channels(c),

@@ -110,7 +110,7 @@ def _stays(d: Diagnosis) -> list[ShownSection]:
         f"{results.part_sentence(d)} What a real robot does beyond any model follows the motion, so readings that follow each "
         "other do not count as independent, and an effect is named only if recordings that took no part are predicted better "
         "with it than without.",
-        figure(figures.waterfall(steps, floor, "noise" if floor else "noise, not known"),
+        figure(svg(figures.waterfall(steps, floor, "noise" if floor else "noise, not known"), "waterfall"),
                f"Mean square of the residual on {held_out}, every channel in units of what the model as it "
                "was leaves of it; numbers are its root. Green: what an effect takes of the gap beside those above it."),
         *([_places(d.remainder, d.data.poses), note(still)] if d.remainder else []),

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -21,14 +20,13 @@ from bayesid.diagnosis.push import Push
 from bayesid.diagnosis.separation import Visible, visible
 from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.diagnosis.validation import residual_spectra
-from bayesid.report.charts import WIDTH, chart, text_width, write
 from bayesid.report.figures import GREY, MEASURED, NOISE, PREDICTED, add_legend, list_rows, make_grid, plain_log, styled
 from bayesid.results.diagnosis import Diagnosis, shown_errors
 from bayesid.signals.white_noise import quiet_noise
 from bayesid.validation.prediction import Prediction
 
 #: Colours: what is left, what is closed, what is neither.
-LEFT, CLOSED, OTHER, _DARK, _GRID = "#c2410c", "#0f766e", "#94a3b8", "#334155", "#e2e8f0"
+LEFT, CLOSED, OTHER, _GRID = "#c2410c", "#0f766e", "#94a3b8", "#e2e8f0"
 #: Points drawn of a term.
 _OF_A_TERM = 3000
 #: Recordings in the picture of residuals, and channels in the picture of signals.
@@ -40,37 +38,30 @@ BEFORE, AFTER = PREDICTED, "#1d4ed8"
 _HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", "#fde8d0", "#f6a55b", "#d4452a", "#7a1022", "#2a0612"])
 _TOP = 10.0  # the darkest colour means at least so many times the noise
 _POINTS = 1500
-_ROW, _BAR, _EDGE = 24.0, 14.0, 10.0
 
 
-def _rect(x: float, y: float, width: float, colour: str) -> str:
-    return f'<rect x="{x:.1f}" y="{y:.1f}" width="{max(width, 0.6):.1f}" height="{_BAR}" fill="{colour}"/>'
-
-
-def waterfall(steps: Sequence[tuple[str, float]], floor: float, floor_name: str = "own fit (floor)") -> Markup:
+@styled
+def waterfall(steps: Sequence[tuple[str, float]], floor: float, floor_name: str = "own fit (floor)") -> Figure:
     """A gap between a model or a reference and recordings, and what each step takes of it.
 
     Steps are names and mean squares, first before any step, last with everything; ``floor`` is the mean square that stays in
     any case: of the recording's own fit, or of the noise.
     """
-    names = [steps[0][0], *(f"{'+ ' if k else ''}{name}" for k, (name, _) in enumerate(steps[1:], 1)), floor_name]
-    left = 16.0 + max(text_width(n) for n in names)
-    scale = (WIDTH - left - 130.0) / max(value for _, value in steps)
-    parts, y, before = [], _EDGE, None
-    for (_, value), name in zip([*steps, ("", floor)], names, strict=True):
-        parts.append(write(left - 8.0, y + 11.0, name, 9.0, _DARK, "end"))
-        last = name == names[-1]
-        if before is None or last:
-            parts.append(_rect(left, y, scale * value, OTHER if last else LEFT))
-            end, words = value, f"{np.sqrt(value):.2f}"
-        else:
-            low, high = sorted((before, value))
-            parts.append(_rect(left, y, scale * low, _GRID))
-            parts.append(_rect(left + scale * low, y, scale * (high - low), CLOSED if value < before else LEFT))
-            end, words = high, f"{np.sqrt(value):.2f} left"
-        parts.append(write(left + scale * end + 6.0, y + 11.0, words, 9.0, _DARK))
-        before, y = value, y + _ROW
-    return chart(y + _EDGE, parts)
+    names = [steps[0][0], *(f"+ {name}" for name, _ in steps[1:]), floor_name]
+    ends = np.array([*(value for _, value in steps), floor])
+    starts = np.array([0.0, *ends[:-2], 0.0])  # each step from the last one, what was before and the floor from nothing
+    figure, axes = make_grid(1, 1, 0.24 * len(names), left=0.3 + 0.066 * max(map(len, names)), right=0.9, top=0.2)
+    panel, y = axes[0, 0], np.arange(len(names))
+    panel.barh(y, np.minimum(starts, ends), height=0.6, color=_GRID)
+    colours = [LEFT, *np.where(ends[1:-1] < starts[1:-1], CLOSED, LEFT), OTHER]
+    panel.barh(y, np.abs(ends - starts), left=np.minimum(starts, ends), height=0.6, color=colours)
+    for k, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        text = f"{np.sqrt(end):.2f}{' left' if 0 < k < len(steps) else ''}"
+        panel.annotate(text, (max(start, end), k), (5, 0), textcoords="offset points", va="center")
+    list_rows(panel, names)
+    panel.xaxis.set_visible(False)
+    panel.spines[:].set_visible(False)
+    return figure
 
 
 @styled
