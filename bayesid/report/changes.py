@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -15,7 +14,7 @@ from bayesid.arguments import argument, call
 from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.drawing import Figures, figures_of
-from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, text_width, write
+from bayesid.report.charts import CYCLE
 from bayesid.report.diagnosis_figures import evidence, waterfall
 from bayesid.report.figures import NOISE, PREDICTED, add_legend, make_grid, styled
 from bayesid.report.page import below, cards, figure, how, lead, note, page, svg, warnings
@@ -27,7 +26,6 @@ from bayesid.section import Html, ShownSection, ShownTable
 
 #: Bars in the picture of the evidence.
 _BARS = 12
-_HEIGHT, _TOP, _BOTTOM, _LINE = 150.0, 26.0, 46.0, 14.0
 #: Letters below a picture that have room beside each other.
 _LETTERS = 120
 _VERDICTS = {
@@ -197,7 +195,8 @@ def watch_report(result: Watch) -> str:
             figure(svg(_course(result, evidence, "Largest log evidence of a change", result.accept), "evidence"),
                    "A change is named from the line on. It is higher the more recordings there are, so that the series as a "
                    "whole names falsely as rarely as one alone."),
-            *(figure(s, "With 95 % intervals; recordings without a dot show no such change.") for s in _sizes(result)),
+            *(figure(svg(sizes, f"sizes-{k}"), "With 95 % intervals; recordings without a dot show no such change.")
+              for k, sizes in enumerate(_sizes(result))),
         ]),
         how(("Recordings", f"{len(entries)} of {result.planned}"), seconds=result.seconds,
             after=f"Everything about one recording: `{call('diagnose')}` with `{argument('reference', result.reference)}`. "
@@ -239,7 +238,7 @@ def _course(result: Watch, values: Sequence[float], title: str, needed: float | 
     return figure
 
 
-def _sizes(result: Watch) -> list[Markup]:
+def _sizes(result: Watch) -> list[Figure]:
     """Sizes of the changes named, recording by recording, with their 95 % intervals: a picture for each unit."""
     units: dict[str, dict[str, np.ndarray]] = {}
     count = len(result.recordings)
@@ -248,28 +247,23 @@ def _sizes(result: Watch) -> list[Markup]:
             v = x.values[0]
             both = units.setdefault(v.unit, {}).setdefault(f"{x.change.spec} {v.name}", np.full((2, count), np.nan))
             both[:, k] = v.value, HALF * v.std
-    return [size_chart(series, count, f"Size of the changes named [{unit}]") for unit, series in units.items()]
+    return [sizes_figure(series, count, f"Size of the changes named [{unit}]") for unit, series in units.items()]
 
 
-def size_chart(series: Mapping[str, np.ndarray], count: int, title: str) -> Markup:
+@styled
+def sizes_figure(series: Mapping[str, np.ndarray], count: int, title: str) -> Figure:
     """Values and half their intervals (2, count) by name, nan where not named."""
-    ends = np.concatenate([v + s * np.nan_to_num(h) for v, h in series.values() for s in (-1.0, 1.0)])
-    low, high = min(0.0, float(np.nanmin(ends))), max(0.0, float(np.nanmax(ends)))
-    room = 0.08 * (high - low or 1.0)
-    panel = Panel(56.0, _TOP, WIDTH - 76.0, _HEIGHT, (0.5, count + 0.5), (low - room * (low < 0.0), high + room))
-    parts, at, line = [panel.frame(title, "recording", whole=True)], panel.left, 0
-    x = np.arange(1.0, count + 1.0)
+    columns = max(int(9.6 / (0.5 + 0.066 * max(map(len, series)))), 1)
+    lines = -(-len(series) // columns)
+    figure, axes = make_grid(1, 1, 2.1, top=0.45 + 0.19 * lines)
+    panel, x = axes[0, 0], np.arange(1, count + 1)
     for k, (name, (value, half)) in enumerate(series.items()):
-        colour, seen = CYCLE[k % len(CYCLE)], np.isfinite(value)
-        for place, v, h in zip(x[seen], value[seen], half[seen], strict=True):
-            if np.isfinite(h):
-                parts.append(panel.curve(np.array([place, place]), np.array([v - h, v + h]), colour))
-        parts.append(panel.dots(x[seen], value[seen], colour, 3.0))
-        if k and at + text_width(name) > WIDTH - 28.0:
-            at, line = panel.left, line + 1
-        parts.append(write(at, _TOP + _HEIGHT + _BOTTOM + 6.0 + _LINE * line, f"● {name}", 9.0, colour))
-        at += text_width(name) + 28.0
-    return chart(_TOP + _HEIGHT + _BOTTOM + 16.0 + _LINE * line, parts)
+        panel.errorbar(x, value, np.nan_to_num(half), fmt="o", ms=5, lw=1.2, color=CYCLE[k % len(CYCLE)], label=name)
+    panel.axhline(0.0, color="#334155", lw=0.6)
+    panel.set(title=title, xlabel="recording", xlim=(0.5, count + 0.5))
+    panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+    add_legend(axes, lines=lines)
+    return figure
 
 
 @figures_of.register

@@ -7,7 +7,6 @@ import pytest
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 
-from bayesid.report.changes import size_chart
 from bayesid.report.charts import Panel, tick_labels
 from bayesid.report.charts import ticks as find_ticks
 from bayesid.report.check import joint_ranges, recording
@@ -67,11 +66,6 @@ def test_recordings_of_many_joints_are_readable(count):
     svg = recording(times, [(name, [f"{name}{j + 1}" for j in range(count)], values) for name in ("q", "tau")])
     assert_readable(svg)
     assert len(set(re.findall(r'<path[^>]* fill="none" stroke="(#\w+)"', svg))) == count
-
-
-def test_sizes_of_many_changes_are_readable():
-    series = {f"viscous_friction@joint{j} coefficient": np.array([[np.nan, j], [np.nan, 0.3]]) for j in range(1, 8)}
-    assert_readable(size_chart(series, 2, "Size of the changes named [N m s/rad]"))
 
 
 def test_one_pose_is_drawn():

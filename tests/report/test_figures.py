@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from bayesid.report.changes import gap_figure
+from bayesid.report.changes import gap_figure, sizes_figure
 from bayesid.report.figures import to_svg
 from bayesid.report.fit_figures import measured_against_predicted, noise_in_band, parameter_intervals, residuals
 from bayesid.validation.prediction import Prediction, ResidualSpectrum
@@ -107,6 +107,11 @@ def test_weak_parameters_do_not_press_the_others_to_zero():
     change, half = np.array([0.02, -0.01, 400.0]), np.array([0.01, 0.01, 900.0])
     figure = parameter_intervals(["a", "b", "c"], change, around(change, half), np.ones(3), ["alone", "alone", "weak"])
     assert figure.axes[0].get_xlim()[1] < 0.05
+
+
+def test_sizes_of_many_changes_are_readable():
+    series = {f"viscous_friction@joint{j} coefficient": np.array([[np.nan, j], [np.nan, 0.3]]) for j in range(1, 8)}
+    assert_readable(sizes_figure(series, 2, "Size of the changes named [N m s/rad]"))
 
 
 _SEVEN, _BOTH = tuple(f"tau{k}" for k in range(1, 8)), WRENCH + ("tau1", "tau2", "tau3")
