@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -102,30 +102,22 @@ def equal_estimates(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
     return [tuple(names) for names in groups.values() if len(names) > 1]
 
 
-class _WithEntries(Protocol):
-    @property
-    def entries(self) -> tuple[Entry, ...]: ...
-
-    @property
-    def baselines(self) -> tuple[Entry, ...]: ...
-
-    @property
-    def estimates(self) -> dict[str, Estimate]: ...
-
-
 class HasEntries:
     """Estimates by name and their tables, from ``entries`` and ``baselines``."""
 
+    entries: tuple[Entry, ...]
+    baselines: tuple[Entry, ...]
+
     @property
-    def estimates(self: _WithEntries) -> dict[str, Estimate]:
+    def estimates(self) -> dict[str, Estimate]:
         """Estimates by the names of their estimators, without those that refused."""
         return {e.name: e.estimate for e in self.entries if e.estimate is not None}
 
-    def same_as(self: _WithEntries, name: str) -> tuple[str, ...]:
+    def same_as(self, name: str) -> tuple[str, ...]:
         """Names of the other estimators whose values and covariance equal those of this one to the last digit."""
         return tuple(n for names in equal_estimates(self.entries) if name in names for n in names if n != name)
 
-    def __getitem__(self: _WithEntries, name: str) -> Estimate:
+    def __getitem__(self, name: str) -> Estimate:
         """The estimate of a name.
 
         Raises
@@ -138,7 +130,7 @@ class HasEntries:
             raise KeyError(f"{name} refused: {refused[0]}" if refused else f"{name}; there are {', '.join(self.estimates)}")
         return self.estimates[name]
 
-    def to_dataframe(self: _WithEntries, of: Literal["parameters", "scores"] = "parameters") -> DataFrame:
+    def to_dataframe(self, of: Literal["parameters", "scores"] = "parameters") -> DataFrame:
         """Tables of what was compared.
 
         Parameters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,25 +46,14 @@ class HasEstimate(HasParameters):
         return figures_of(self)["intervals"](ax=ax)
 
 
-class HasPredictions(Protocol):
-    """A result with predictions of motions."""
-
-    @property
-    def fitted(self) -> tuple[Prediction, ...]:
-        """Predictions of the fitted motions."""
-        ...
-
-    @property
-    def validation(self) -> tuple[Prediction, ...]:
-        """Predictions of the motions that were not fitted."""
-        ...
-
-
 class PlotsPredictions(Plots):
-    """Figures of the predictions in ``fitted`` and ``validation``."""
+    """Figures of the predictions in ``fitted`` and ``validation``: of the fitted motions, and of those that were not."""
+
+    fitted: tuple[Prediction, ...]
+    validation: tuple[Prediction, ...]
 
     def plot_predictions(
-        self: HasPredictions, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None
+        self, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None
     ) -> Figure:
         """Draw the readings of a motion, measured and predicted, channel by channel.
 
@@ -84,15 +73,11 @@ class PlotsPredictions(Plots):
         """
         return figures_of(self)["predictions"](_predicted(self, motion), channels, ax)
 
-    def plot(
-        self: HasPredictions, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None
-    ) -> Figure:
+    def plot(self, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
         """Draw measured and predicted readings; as `plot_predictions`."""
         return figures_of(self)["predictions"](_predicted(self, motion), channels, ax)
 
-    def plot_residuals(
-        self: HasPredictions, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None
-    ) -> Figure:
+    def plot_residuals(self, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
         """Draw what was measured less what was predicted, in time and as a spectrum beside the noise; as `plot_predictions`.
 
         With one axis a channel, in time alone; with two, row by row, the spectrum stands in the second.
@@ -100,7 +85,7 @@ class PlotsPredictions(Plots):
         return figures_of(self)["residuals"](_predicted(self, motion), channels, ax)
 
 
-def _predicted(result: HasPredictions, motion: str | None) -> Prediction:
+def _predicted(result: PlotsPredictions, motion: str | None) -> Prediction:
     known = {p.motion: p for p in result.validation}
     if not known or motion not in (None, *known):  # fitted motions may have to be predicted first
         known |= {p.motion: p for p in result.fitted}

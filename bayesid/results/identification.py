@@ -115,7 +115,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
         return self.not_shown.motions
 
     @cached_property
-    def fitted(self) -> tuple[Prediction, ...]:
+    def fitted(self) -> tuple[Prediction, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Predictions of the fitted motions, made when they are first asked for."""
         problem = self.problem
         motions = [m for m in problem.experiment.motions if m.name in problem.fitted]

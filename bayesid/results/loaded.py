@@ -215,21 +215,19 @@ class LoadedIdentification(HasEstimate, _WithEffects, _WithPredictions):
         return np.sqrt(np.einsum("ij,jk,ik->i", k, Prior.nominal(with_sizes(np.array(links)), 2.0**0.5).covariance, k))
 
 
+def _entries(key: str, text: str) -> Any:
+    """A property: what each estimator made of the data."""
+    return property(lambda loaded: tuple(map(loaded._entry, loaded.document[key])), doc=text)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class LoadedComparison(HasEntries, Loaded):
     """What `bayesid.compare` found, read back: estimates by name, errors of their predictions."""
 
     report = "comparison"
 
-    @property
-    def entries(self) -> tuple[Entry, ...]:
-        """One for each estimator, in the order asked for."""
-        return tuple(self._entry(m) for m in self.document["methods"])
-
-    @property
-    def baselines(self) -> tuple[Entry, ...]:
-        """The nominal model, predicted without a fit, and with its effects fitted."""
-        return tuple(self._entry(b) for b in self.document["baselines"])
+    entries = _entries("methods", "One for each estimator, in the order asked for.")
+    baselines = _entries("baselines", "The nominal model, predicted without a fit, and with its effects fitted.")
 
     @property
     def reference(self) -> str | None:
