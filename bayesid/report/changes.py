@@ -80,7 +80,7 @@ def changes_report(result: Changes) -> str:
     ]  # fmt: skip
     opening = [
         lead(f"**{results.verdict_sentence(c)}**"), cards(_cards(c)),
-        warnings([*result.warnings, *results.notes(c)], "", "Know this before you use it"),
+        warnings([*result.remarks, *results.notes(c)], "", "Know this before you use it"),
     ]  # fmt: skip
     kicker = f"What changed since the reference: from the {channel_text(problem.channel, problem.fitted)}"
     return page(f"{problem.experiment.name} since {before.name}", kicker, opening, sections)

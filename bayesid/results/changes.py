@@ -41,14 +41,14 @@ class Changes(ShownResult):
         Everything that was found.
     seconds
         Run time.
-    warnings
+    remarks
         What the user should know about the recordings, and about those of the reference.
     """
 
     verb, report = "diagnose", "changes"
     comparison: ReferenceComparison
     seconds: float = 0.0
-    warnings: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -99,14 +99,14 @@ class Changes(ShownResult):
                 lines.append(f"  {x.change.spec}: {name} {joined(text, half)} {powers(unit)}".rstrip() + before)
             if sentence := shares_sentence(x, c):
                 lines.append(f"  {sentence}")
-        return [*lines, gap_sentence(c), *(f"warning: {w}" for w in self.warnings), *_open(c)]
+        return [*lines, gap_sentence(c), *(f"warning: {w}" for w in self.remarks), *_open(c)]
 
     def _repr_html_(self) -> str:
         """The same for notebooks, values as a table."""
         c = self.comparison
         shares = [s for x in c.changes if (s := shares_sentence(x, c))]
         table = [self.table] if c.changes else []
-        said = [f"warning: {w}" for w in self.warnings]
+        said = [f"warning: {w}" for w in self.remarks]
         return as_html([f"**{verdict_sentence(c)}**", f"{gap_sentence(c)}.", *table, *shares, *said, *_open(c)])
 
     def to_dict(self) -> dict[str, Any]:
@@ -127,7 +127,7 @@ class Changes(ShownResult):
                 "dispersion": c.selection.marginal().dispersion, "tolerance_factor": c.selection.factor,
                 "bandwidth_hz": c.recording.problem.smoother.bandwidth,
             },
-            "remarks": list(self.warnings), "next_experiment": next_experiment(c), "runtime_s": self.seconds,
+            "remarks": list(self.remarks), "next_experiment": next_experiment(c), "runtime_s": self.seconds,
         })  # fmt: skip
 
     def _beside(self) -> Files:

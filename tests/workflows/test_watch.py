@@ -131,11 +131,11 @@ def test_mistakes_of_recordings_and_reference_are_told(series, tmp_path):
     told = "The wrench seems to be that of the robot on the sensor"
     for before, after, place in ((series[0], wrong[1], 0), (wrong[0], series[1], -1)):
         change, watched = bayesid.diagnose(after, reference=before), bayesid.watch(before, [after])
-        assert told in change.warnings[place] and change.warnings[place].startswith("In the reference: ") == (place == -1)
+        assert told in change.remarks[place] and change.remarks[place].startswith("In the reference: ") == (place == -1)
         assert told in str(change) and told in change.to_dict()["remarks"][place]
         assert [told in w for w in watched.all_warnings].count(True) == 1 and told in str(watched)
         kept = watched.to_dict()
-        assert change.warnings[place] in (kept["recordings"][0] if place == 0 else kept)["warnings"]
+        assert change.remarks[place] in (kept["recordings"][0] if place == 0 else kept)["warnings"]
         assert told in watched.write(tmp_path / after.name).read_text(encoding="utf-8")
     assert told in bayesid.accuracy(wrong[0], runs=0).warnings[0]
 
