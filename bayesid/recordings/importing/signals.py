@@ -114,6 +114,7 @@ def make_signals(
         clock = next(clock for one, clock in clocks if one is stream)
         converted = [_converted(f, stated, layout.joints, source, sliding) for f in found]
         columns, units, scales = zip(*converted, strict=True)
+        notes += _renamed(found, stated)
         values = np.column_stack(columns)
         there = [k for k in range(len(found)) if not np.isnan(values[:, k]).all()]
         if len(there) < len(found):
@@ -141,6 +142,19 @@ def make_signals(
         )  # fmt: skip
         signals.append(_without_held(signal) if held else signal)
     return signals, list(dict.fromkeys(notes))
+
+
+def _renamed(found: Sequence[FoundColumn], stated: ColumnMap) -> list[str]:
+    """That columns are read in another unit than their names state."""
+    columns: dict[tuple[str, str], list[str]] = {}
+    for f in found:
+        unit = stated.unit(f.ours)
+        if unit is not None and f.unit not in (None, unit):
+            columns.setdefault((unit, str(f.unit)), []).append(cut(f.stream.full_name(f.column), 80))
+    return [
+        f"{listed(names, 4)}: read in {unit}, as stated, and not in the {other} of the name"
+        for (unit, other), names in columns.items()
+    ]
 
 
 def resting(

@@ -141,6 +141,17 @@ def test_units_in_brackets_after_a_name_are_taken(known, tmp_path):
     np.testing.assert_array_equal(table.torques, known.tau)
 
 
+def test_a_stated_unit_that_is_not_the_one_of_the_name_is_told(known, tmp_path):
+    """What is stated wins over a header that is wrong."""
+    frame = pd.DataFrame({"t": known.t, **{f"q{k + 1} [rad]": known.q[:, k] * DEGREE for k in range(2)}})
+    frame = frame.assign(**{f"tau{k + 1} [Nm]": known.tau[:, k] for k in range(2)})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    made = bayesid.read_recording(tmp_path / "log.csv", known.urdf, joints=JOINTS, units={"q": "deg", "tau": "N m"})
+    np.testing.assert_allclose(made.experiment.motions[0].table.positions, known.q, rtol=1e-13, atol=1e-13)
+    (told,) = (text for text in made.recordings[0].recording.done if "as stated" in text)
+    assert told == "q1 [rad], q2 [rad]: read in deg, as stated, and not in the rad of the name"
+
+
 def test_a_unit_that_is_not_stated_is_asked_for(known, tmp_path):
     frame = by_joint(known, time=known.t)
     positions = [column for column in frame if column.endswith("position")]
