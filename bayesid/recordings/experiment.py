@@ -471,6 +471,20 @@ def load_setup(folder: str | Path, library: EffectLibrary | None = None) -> Expe
     return _read_setup(Path(folder), library)[0]
 
 
+def as_setup(given: object, takes: str) -> Experiment:
+    """Robot, sensor and model of what a verb is given: an experiment, its folder, or a robot with a sensor where it is read for.
+
+    ``takes`` is what the verb takes, for the message.
+    """
+    if isinstance(given, Robot):
+        return Experiment(given.name, given, (), Sensor(given.sensor_joint))
+    if isinstance(given, (str, Path)):
+        return load_setup(given)
+    if isinstance(given, Experiment):
+        return given
+    raise InputError(f"a {type(given).__name__} is given for the experiment: pass {takes}")
+
+
 def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment, ExperimentFile]:
     """What experiment.toml and the URDF say."""
     if folder.exists() and (kind := kind_of(folder)) and not (folder / "experiment.toml").is_file():

@@ -22,7 +22,7 @@ from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
-from bayesid.recordings.experiment import Experiment, Sensor, as_experiment, load_experiment, load_setup
+from bayesid.recordings.experiment import Experiment, as_experiment, as_setup, load_experiment
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel, has_readings, make_channels
 from bayesid.results.excitation import DistinguishingMotion, Excitation, LimitUse
@@ -102,7 +102,7 @@ def excite(
     """
     clock = Clock(progress)
     clock("reading")
-    experiment = as_setup(setup)
+    experiment = as_setup(setup, "its folder, an Experiment, or a Robot")
     chosen = with_given(
         options or ExcitationOptions(), channel=channel, static=static, criterion=criterion, quantities=quantities, kind=kind,
         duration=duration, period=period, harmonics=harmonics, rate=rate, joints=joints, share=share,
@@ -134,17 +134,6 @@ def _warm(given: str | Path, experiment: Experiment) -> Trajectory:
             f"{argument('warm_start', str(given))}: no such file, and no motion of that name; recorded motions: {there}"
         )
     return recorded_trajectories(replace(experiment, motions=tuple(named)))[0]
-
-
-def as_setup(given: Experiment | Robot | str | Path) -> Experiment:
-    """Robot, sensor and model of what is given: an experiment, its folder, or a robot on a sensor under its base."""
-    if isinstance(given, Robot):
-        return Experiment(given.name, given, (), Sensor(given.sensor_joint))
-    if isinstance(given, Experiment):
-        return given
-    if isinstance(given, (str, Path)):
-        return load_setup(given)
-    raise InputError(f"a {type(given).__name__} is given for the experiment: pass its folder, an Experiment, or a Robot")
 
 
 def _result(plan: Plan, clock: Clock) -> Excitation:

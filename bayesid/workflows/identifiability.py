@@ -16,7 +16,7 @@ from bayesid.design.reading_noise import SENSOR_SETS, ReadingNoise, SensorSet, r
 from bayesid.design.separability import pair_of, separations
 from bayesid.errors import InputError
 from bayesid.estimators.weights import learn_weights
-from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment, load_setup, motions_named
+from bayesid.recordings.experiment import Experiment, Motion, Sensor, as_setup, load_experiment, motions_named
 from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions, some_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel
@@ -27,7 +27,7 @@ from bayesid.simulation.trajectories import Trajectory, fourier_trajectory, read
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 
 _READ = {"wrench": "wrench", "torque": "joint torques"}
-_TAKES = "pass the folder of an experiment, an Experiment, a Robot with trajectories, or a Regression"
+_TAKES = "the folder of an experiment, an Experiment, a Robot with trajectories, or a Regression"
 
 
 #: A planned motion: a table's path, or a trajectory.
@@ -110,23 +110,15 @@ def _experiment(
     given: object, trajectories: Planned | Sequence[Planned] | None
 ) -> tuple[Experiment, list[Motion | Trajectory] | None]:
     """The robot and its model, and planned motions where there are any."""
-    planned: list[Motion | Trajectory] | None = None
-    if isinstance(given, Robot):
-        experiment = Experiment(given.name, given, (), Sensor(given.sensor_joint))
-        if trajectories is None:
-            planned = [fourier_trajectory(given, "random motion")]
-    elif isinstance(given, (str, Path)):
-        experiment = load_setup(given) if trajectories is not None else load_experiment(given, planned=True)
-    elif isinstance(given, Experiment):
-        experiment = given
-    else:
-        raise InputError(f"a {type(given).__name__} is given for the experiment: {_TAKES}")
-    if trajectories is not None:
-        several = [trajectories] if isinstance(trajectories, (str, Path, Trajectory)) else list(trajectories)
-        made = [_planned(t, experiment.robot) for t in several]
-        called = [t.name for t in made]  # tables as `bayesid.excite` writes them have one name
-        planned = [t if called.count(t.name) == 1 else replace(t, name=f"{t.name} ({k})") for k, t in enumerate(made, 1)]
-    return experiment, planned
+    if trajectories is None and isinstance(given, (str, Path)):
+        return load_experiment(given, planned=True), None
+    experiment = as_setup(given, _TAKES)
+    if trajectories is None:
+        return experiment, [fourier_trajectory(given, "random motion")] if isinstance(given, Robot) else None
+    several = [trajectories] if isinstance(trajectories, (str, Path, Trajectory)) else list(trajectories)
+    made = [_planned(t, experiment.robot) for t in several]
+    called = [t.name for t in made]  # tables as `bayesid.excite` writes them have one name
+    return experiment, [t if called.count(t.name) == 1 else replace(t, name=f"{t.name} ({k})") for k, t in enumerate(made, 1)]
 
 
 def _planned(given: object, robot: Robot) -> Trajectory:
