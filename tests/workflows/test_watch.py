@@ -85,7 +85,7 @@ def test_what_cannot_be_compared_is_told_in_its_place(series, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("duration", "rate", "says"), [(0.6, 60.0, "10 numbers leave no residual"), (1.0, 25.0, "leaves next to nothing")]
+    ("duration", "rate", "says"), [(0.6, 60.0, "10 numbers leave no residual"), (1.0, 25.0, "14 parameters for 16 numbers")]
 )
 def test_recordings_that_are_too_short_are_refused_in_one_line(duration, rate, says, series):
     path = [bayesid.fourier_trajectory(series[0].robot, duration=duration, rate=rate, seed=1, harmonics=2, fundamental=0.5)]
@@ -147,3 +147,25 @@ def test_mistakes_are_searched_once(series, monkeypatch):
         verb(replace(series[1], inertia_rel_std=0.05))
         assert [e.name for e in searched] == ["day1"], verb.__name__
         searched.clear()
+
+
+def test_a_recording_too_short_for_a_measure_of_noise_is_not_compared(tmp_path):
+    """Its own fit leaves nothing: nine changes were named of a robot as it was, at billions of times what that leaves."""
+    robot = puma2(tmp_path)
+    arm = experiment(robot, [], position_resolution=2e-5, effects=("viscous_friction", "coulomb_friction"))
+    drives = {f"viscous_friction@joint{k}": {"coefficient": 1.0} for k in (1, 2)}
+    drives |= {f"coulomb_friction@joint{k}": {"level": 2.0} for k in (1, 2)}
+    recorder = bayesid.Recorder(torque_std=0.05, resolution=2e-5)
+    path = [bayesid.fourier_trajectory(robot, duration=8.0, seed=1)]
+    before, later = (bayesid.simulate(arm, path, effects=drives, recorder=recorder, seed=k) for k in range(2))
+
+    def first(seconds):
+        table = later.motions[0].table
+        rows = table.times < seconds
+        short = replace(table, times=table.times[rows], positions=table.positions[rows], torques=table.torques[rows])
+        return replace(later, name=f"{seconds} s", motions=(replace(later.motions[0], table=short),))
+
+    watched = bayesid.watch(before, [first(0.8), first(1.0), first(2.0)])
+    assert [w.verdict for w in watched.recordings] == ["not_compared", "not_compared", "nothing_missing"]
+    assert "record longer" in watched.recordings[0].complaint
+    assert watched.recordings[2].comparison.errors.floor == pytest.approx(1.0)

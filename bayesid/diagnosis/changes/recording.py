@@ -37,7 +37,8 @@ class LaterRecording:
     times: np.ndarray
     motions: np.ndarray
     channel: np.ndarray  # index of the channel (N,)
-    #: What the recording's own fit of the same model leaves (N,): mean square one in every channel, degrees of freedom counted.
+    #: What the recording's own fit of the same model leaves (N,), as large as it is of readings that were not fitted: mean square
+    #: one in every channel.
     own: np.ndarray
     scale: np.ndarray  # unit of each channel (c,) [N m or N], times the root of ``samples``
     samples: float  # how many samples a row stands for
@@ -69,8 +70,14 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
     rows = np.concatenate([block.rows for block in blocks])
     count, p = rows.shape[1], len(reference.solution)
     own = rows[:, :, -1] - rows[:, :, :p] @ estimate.solution
-    scale = np.sqrt(np.sum(own**2, axis=0) / max(len(own) - p / count, 0.1 * len(own)))
+    if own.size < 2 * p:
+        raise InputError(
+            f"experiment {experiment.name}: its own fit has {p} parameters for {own.size} numbers, so that what it leaves is no "
+            "measure of what a change leaves; record longer, or more poses"
+        )
+    scale = np.sqrt(np.sum(own**2, axis=0) / (len(own) - p / count))
     scale = np.maximum(scale, 1e-9 * scale.max(initial=1e-200))
+    left = own / np.maximum(np.sqrt(np.mean(own**2, axis=0)), 1e-300)
     flat = (rows / scale[:, None]).reshape(-1, rows.shape[2])
     x, z, y = flat[:, :p], flat[:, p:-1], flat[:, -1]
     grams = [part.T @ part for part in np.array_split(np.column_stack([x, y]), PARTS)]
@@ -78,7 +85,7 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
         problem, np.hstack([x, x @ _body_columns(problem), z, z - x @ reference.lacking.carried]), y - x @ reference.solution,
         np.repeat(np.concatenate([block.times for block in blocks]), count),
         np.repeat(np.concatenate([np.full(len(block.rows), block.motion) for block in blocks]), count),
-        np.tile(np.arange(count), len(rows)), (own / scale).ravel(), scale,
+        np.tile(np.arange(count), len(rows)), left.ravel(), scale,
         max(model.step / float(np.median(np.concatenate([np.diff(s.times) for s in problem.fitted_segments]))), 1.0),
         dispersions(Rows(grams), estimate.solution)[0].factor,
     )  # fmt: skip
