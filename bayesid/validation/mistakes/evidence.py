@@ -383,7 +383,7 @@ class Explainer:
         if change.weightless:
             rows = list(change.weightless)
             rigid[:, rows] = kernel.dynamics(*motion, gravity=False)[:, rows]
-        beside = columns_beside(self.channels, *motion[1:], s.motion)
+        beside = columns_beside(self.channels, motion[1], motion[2], s.motion)
         self._designs[key] = Design(np.concatenate([rigid, beside], axis=2))
         return self._designs[key]
 
