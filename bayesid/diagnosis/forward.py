@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesid.diagnosis.candidates import Library, Proposal
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.fit import FEW_STEPS, STEPS, SWEEPS, Fit, advance, begin, finish, fit, is_another
+from bayesid.diagnosis.fit import FEW_STEPS, STEPS, SWEEPS, Fit, Iterate, advance, begin, finish, fit, is_another
 from bayesid.diagnosis.grams import schwarz
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.settings import Settings
@@ -155,7 +155,20 @@ def _raced(start: Fit, held: Sequence[Term], terms: Sequence[Term]) -> list[Fit]
     gains = [start.chi2 - now.chi2 for now in early]
     least = _BEHIND * max((g for g in gains if np.isfinite(g)), default=0.0)
     kept = [now for now, gain in zip(early, gains, strict=True) if least <= 0.0 or gain >= least]
-    return list(in_order(lambda now: finish(advance(now, STEPS - FEW_STEPS)), kept))
+    return list(in_order(lambda now: finish(_ended(advance(now, STEPS - FEW_STEPS))), kept))
+
+
+def _ended(now: Iterate) -> Iterate:
+    """A fit that goes on while it gains more than the odds by which rivals are told apart.
+
+    The end of a contact moves by no more than its ramp in a step, and at one joint it may have come further than at the next.
+    """
+    least = 2.0 * now.projector.data.settings.rival
+    for _ in range(SWEEPS):
+        before, now = now, advance(now, STEPS)
+        if before.chi2 - now.chi2 < least:
+            break
+    return now
 
 
 def _shortlist(proposals: Sequence[Proposal], dispersion: float, settings: Settings, most: int) -> list[Proposal]:
