@@ -15,7 +15,7 @@ import numpy as np
 from bayesid.diagnosis.candidates import Library, Proposal, surroundings
 from bayesid.diagnosis.data import OneValue
 from bayesid.diagnosis.fit import Fit, differs_from_zero, distance, fit
-from bayesid.diagnosis.forward import State, forward_selection, measured_dispersion, too_many_to_name
+from bayesid.diagnosis.forward import State, forward_selection, is_surrogate_combination, measured_dispersion, too_many_to_name
 from bayesid.diagnosis.noise import with_noise_of
 from bayesid.diagnosis.noise_models import NoiseModels, as_points, prepared
 from bayesid.diagnosis.projector import NuisanceProjector, make_projector
@@ -62,6 +62,26 @@ def search(projector: NuisanceProjector, terms: Sequence[Term], seed: int, progr
             state = measured_dispersion(replace(again, best=fit(again.base.projector, state.best.terms, state.best)))
         else:
             state = forward_selection(again, progress)
+    return _concluded(state, first, progress)
+
+
+def leaves_noise(s: Search) -> bool:
+    """Whether the effects found are few, and leave no more than the noise on the fitted motions."""
+    data, known = s.projector.data, len(s.base.terms)
+    few = not is_surrogate_combination(data, s.best.terms[known:])
+    return few and s.best.chi2 < data.settings.unexplained * s.projector.rows
+
+
+def search_from(s: Search, terms: Sequence[Term], seed: int, progress: Callable[[str], None]) -> Search:
+    """The search once more, from a model that explains the readings better than the one at which it ended."""
+    state = _start(s.projector, s.base.terms, seed)
+    models, best = state.models.own(fit(state.base.projector, terms, state.base))
+    state = forward_selection(replace(state, models=models, best=best), progress)
+    return _concluded(state, s.proposals, progress)
+
+
+def _concluded(state: State, first: Sequence[Proposal], progress: Callable[[str], None]) -> Search:
+    """The effects that stay beside each other, under the noise as their model makes it, and their rivals."""
     pruned = prune(state)
     few, dropped = essential(pruned)
     # The exact noise of a model whose effects will not be named anyway is not worth the time.
@@ -144,4 +164,4 @@ def _of_model(s: Search, best: Fit, found: Sequence[Found]) -> Search:
     return replace(s, best=best, found=own)
 
 
-__all__ = ["Found", "Pruned", "Search", "certain", "holds_below", "refit", "search"]
+__all__ = ["Found", "Pruned", "Search", "certain", "holds_below", "leaves_noise", "refit", "search", "search_from"]

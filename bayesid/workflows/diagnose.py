@@ -25,7 +25,7 @@ from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.push import Push, find_push, less_push, measured_push, without_push
 from bayesid.diagnosis.remarks import next_experiment, remarks
-from bayesid.diagnosis.search import Found, Search, certain, holds_below, search
+from bayesid.diagnosis.search import Found, Search, certain, holds_below, leaves_noise, search, search_from
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.stability import Stability, stability
 from bayesid.diagnosis.validation import Gap, residual_spectra, validate
@@ -166,10 +166,12 @@ def missing(
         def prepared(below: float = inf) -> DiagnosisData:
             return prepare_data(experiment, channel, terms, motions, seed, held, settings, below)
 
-        def searched(data: DiagnosisData) -> _Decided:
-            found = search(make_projector(data, data.terms), data.terms, seed, progress)
+        def checked(found: Search) -> _Decided:
             progress("validation on unseen motions")
             return _decided(found, seed)
+
+        def searched(data: DiagnosisData) -> _Decided:
+            return checked(search(make_projector(data, data.terms), data.terms, seed, progress))
 
         whole, push = prepared(), None
         rivals = names(tell)
@@ -196,6 +198,9 @@ def missing(
         if result.verdict == "unknown":
             progress("effects that held-out recordings confirm")
             tried = proven_effects(result.search, seed)
+            if tried is not None and leaves_noise(tried.search):
+                again = checked(search_from(result.search, tried.search.best.terms, seed, progress))
+                result, tried = (result, tried) if again.verdict == "unknown" else (again, None)
 
         def concluded(imitate: bool) -> Diagnosis:
             out = _with_errors(_concluded(result, tried, imitate, seed), push, motions, progress)
