@@ -25,6 +25,7 @@ from bayesid.validation.mistakes.evidence import (
 )
 from bayesid.validation.mistakes.from_data import by_joint, implausible_size, orders, other_zeros, tilted, weight_carried
 from bayesid.validation.mistakes.samples import low_passed
+from bayesid.validation.mistakes.zero import zeros_moved
 
 _LISTED = 3
 #: A link that is this far away in one of two poses is told from the other by eye [m].
@@ -207,6 +208,7 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
                     guessed = [m for m in guessed if m.evidence > late.evidence]
                     found += [] if any(np.isfinite(m.evidence) for m in guessed) else [late]
                 found += guessed
+                found += zeros_moved(experiment, NEEDED) if channel == "wrench" else []
             except (InputError, np.linalg.LinAlgError, ValueError, RuntimeError):
                 # Too short or too uneven to be smoothed, or numbers of a size that no robot has: others say that better.
                 continue
