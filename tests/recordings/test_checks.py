@@ -369,3 +369,8 @@ def test_a_static_table_that_is_cut_out_of_its_motion_is_refused_where_the_robot
         with pytest.raises(InputError, match="^still.csv: holds rows of one.csv in which the robot moves"):
             given(rows)
     assert given(slice(0, 480)).motions[0].static is not None
+    rounded = replace(whole, wrench=np.round(whole.wrench, 3), source="still.csv")
+    with pytest.raises(InputError, match="^still.csv: holds the same wrench as one.csv"):
+        Experiment("copied", robot, (Motion("one", "identification", whole, static=rounded),), Sensor())
+    other = replace(rounded, wrench=rounded.wrench + np.round(rng.normal(size=rounded.wrench.shape), 3))
+    assert Experiment("run", robot, (Motion("one", "identification", whole, static=other),), Sensor()).motions[0].stop_and_go
