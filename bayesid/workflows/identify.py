@@ -121,7 +121,9 @@ def identify(
         not_shown = _not_shown(problem, estimate)
         check = against_nominal(problem.regression, estimate)
         signs = impossible_signs(estimate, problem)
-        mistakes = mistaken(problem, validation, bool(signs))
+        # A base that hangs upside down predicts a reversed wrench as well as the robot would, of bodies that cannot exist.
+        none_possible = problem.channel == "wrench" and links.moved is not None and not links.moved.inside
+        mistakes = mistaken(problem, validation, bool(signs) or none_possible)
         of_rotors = missing_rotors(problem, estimate, method, options, links, bool(mistakes))
     of_links = [*(of_rotors if links.usable else []), *links.warnings()]
     no_use = (*unusable(problem, validation, mistakes), *(() if links.usable else of_rotors))

@@ -208,8 +208,8 @@ def incomplete(dispersion: float | None, channels: Mapping[str, float] | None = 
 def mistaken(problem: Problem, validation: Sequence[Prediction], impossible: bool) -> list[str]:
     """Which mistake in the data would explain a bad fit.
 
-    The search takes a part of a second; it is made where a sign is wrong (``impossible``), where a held-out motion is not
-    predicted well, and where the URDF has no masses to compare with.
+    The search takes a part of a second; it is made where a sign is wrong or no body is possible (``impossible``), where a
+    held-out motion is not predicted well, and where the URDF has no masses to compare with.
     """
     masses = problem.experiment.robot.nominal[:, 0]
     if not impossible and masses.any() and all(judged(p).mood == "good" for p in validation):

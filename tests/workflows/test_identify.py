@@ -358,3 +358,11 @@ def test_the_sign_is_blamed_for_negative_friction_where_all_of_the_joint_is_nega
     either = [_with_friction(robot, 0.0, noise=sign) for sign in (1.0, -1.0)]
     viscous = [r.effects()[0]["parameters"]["coefficient"]["value"] for r in either]
     assert min(viscous) < 0.0 < max(viscous) and not any("egative" in w for r in either for w in r.warnings)
+
+
+def test_a_reversed_wrench_is_named_though_validation_predicts_it(arm):
+    """Bodies that cannot exist predict it as well as those of the robot do of what it reads."""
+    motions = tuple(replace(m, table=replace(m.table, wrench=-m.table.wrench)) for m in arm.motions)
+    found = bayesid.identify(replace(arm, inertia_rel_std=None, motions=motions))
+    assert found.validation[0].relative_error < 0.05
+    assert found.warnings[0].startswith("The wrench seems to be that of the robot on the sensor")
