@@ -20,9 +20,11 @@ from bayesid.diagnosis.spectra import taper
 from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.table import Table
+from bayesid.robot.robot import load_robot
 from bayesid.signals import repeats
 from bayesid.signals.white_noise import quiet_noise
-from tests.simulated import Motion, Sensor, experiment, fourier, puma2
+from tests.robots import ur5, write
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 RATE = 125.0
 SENSOR = Sensor(translation=(0.0, 0.0, -0.1))
@@ -331,3 +333,25 @@ def test_no_channel_is_known_better_than_to_four_digits(robot):
     np.testing.assert_allclose(least(0.0 * moving), 1e-8 * read, rtol=0.3)
     large = np.sum(segment.spectrum(1e6 * moving) ** 2, axis=0)
     np.testing.assert_allclose(least(1e6 * moving), 1e-8 * large, rtol=0.3)
+
+
+def test_counts_make_errors_as_large_as_their_noise_says(tmp_path):
+    """Errors of torques predicted from rounded positions, beside those predicted from the true ones, between 3 and 10 Hz.
+
+    Rounded once more, positions that had followed the counts of their recording made errors whose power was a sixth too small.
+    """
+    robot = load_robot(write(tmp_path, ur5()))
+    ratios = []
+    for seed in range(16):
+        times, q, v, a = fourier(robot, seed, duration=10.0, speed=1.0)
+        table = recording(robot, None, (times, q, v, a), seed=seed, torque_std=1e-6, resolution=1e-3)
+        data = prepare_data(experiment(robot, [Motion("m", "identification", table)]), "torque", (), None, 0)
+        data = noise_of_segments.with_noise_of(data, data.links, (), 0)
+        s = data.segments[0]
+        old = s.trajectory
+        exact = smoothed(times, q, old.times, old.bandwidth, s.still, old.middle_positions, old.clear, old.cell)
+        error = s.spectrum(data.predict(s, data.links, ()) - data.predict(replace(s, trajectory=exact), data.links, ()))
+        high = s.frequencies > 3.0
+        ratios.append(np.mean(error[high] ** 2 / np.diagonal(s.covariance, axis1=1, axis2=2)[high]))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.08)
+    assert np.std(ratios) / 4.0 < 0.03
