@@ -128,8 +128,9 @@ def compare(
                 for text, own, e in nominal_estimates(problem, weights)
             ]
         seconds["prediction"] = time.perf_counter() - started - sum(seconds.values())
-    # The default estimator where it has intervals, else the first that has.
-    sure = [e.name for e in entries if e.estimate is not None and e.estimate.full_covariance is not None]
+    # The default estimator where it has intervals, else the first that has; of what nothing determines they are empty.
+    measured = [(e.name, e.estimate) for e in entries if e.estimate is not None and e.estimate.full_covariance is not None]
+    sure = [name for name, estimate in measured if (estimate.std > 0.0).any()]
     reference = DEFAULT_METHOD if DEFAULT_METHOD in sure else next(iter(sure), None)
     estimates = {e.name: e.estimate for e in entries if e.estimate is not None}
     # Where the model lacks something, gls weights by channel and is no more efficient than wls.

@@ -431,3 +431,11 @@ def test_command_line(heavier, tmp_path, capsys):
         assert main(["compare", str(folder), *wrong, "--out", str(tmp_path / "no")]) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) == 1
     assert not (tmp_path / "no").exists()
+
+
+def test_an_estimate_of_which_nothing_is_determined_is_no_reference(heavier, tmp_path):
+    """Beside free changes of every link no base parameter has an interval: its picture had no row, and could not be drawn."""
+    alone = bayesid.compare(heavier, methods=["sdp"], effects=["inertia_error"])
+    assert alone.reference is None
+    alone.write(tmp_path)
+    assert "in units of its standard deviation" not in (tmp_path / "report.html").read_text(encoding="utf-8")
