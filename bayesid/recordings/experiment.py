@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from bayesid.arguments import argument, call
@@ -34,6 +33,7 @@ from bayesid.recordings.schema import (
     read_model,
     unlisted_values,
 )
+from bayesid.recordings.sensor import Sensor
 from bayesid.recordings.stored import StoredTable, stored_table
 from bayesid.recordings.table import WRENCH_COLUMNS, Table
 from bayesid.recordings.table_reader import read_table
@@ -55,45 +55,6 @@ _GRAVITY = (0.0, 0.0, -9.81)
 _UNVALIDATED = 'no motion has role "validation"'
 
 __all__ = ["WRENCH_COLUMNS", "Experiment", "Motion", "Sensor", "Table", "load_experiment"]
-
-
-@dataclass(frozen=True, eq=False)
-class Sensor:
-    """The force/torque sensor.
-
-    Attributes
-    ----------
-    joint
-        The URDF joint it sits in; None: between the world and the base.
-    translation, rpy
-        Origin (3,) [m] and orientation (3,) [rad] of its frame in the base frame, or in that joint's child link.
-    force_std, torque_std
-        Noise of one sample [N], [N m], where known.
-    """
-
-    joint: str | None = None
-    translation: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    rpy: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    force_std: float | None = None
-    torque_std: float | None = None
-
-    def __post_init__(self) -> None:
-        """Make the vectors read-only and check their length."""
-        for name in ("translation", "rpy"):
-            vector = np.array(getattr(self, name), dtype=np.float64)
-            if vector.shape != (3,) or not np.isfinite(vector).all():
-                raise InputError(f"sensor {name}: {vector.tolist()} will not do; give three numbers")
-            vector.setflags(write=False)
-            object.__setattr__(self, name, vector)
-        for name in ("force_std", "torque_std"):
-            std = getattr(self, name)
-            if std is not None and not 0.0 < std < np.inf:
-                raise InputError(f"sensor {name}: {std} is no sensor's noise; give a number above 0, or None if it is not known")
-
-    @property
-    def rotation(self) -> np.ndarray:
-        """Orientation of its frame as a matrix (3, 3)."""
-        return pin.rpy.rpyToMatrix(*map(float, self.rpy))
 
 
 @dataclass(frozen=True, eq=False)
