@@ -62,7 +62,7 @@ def search(projector: NuisanceProjector, terms: Sequence[Term], seed: int, progr
             state = measured_dispersion(replace(again, best=fit(again.base.projector, state.best.terms, state.best)))
         else:
             state = forward_selection(again, progress)
-    return _concluded(state, first, progress)
+    return _settled(state, first, progress)
 
 
 def leaves_noise(s: Search) -> bool:
@@ -77,10 +77,10 @@ def search_from(s: Search, terms: Sequence[Term], seed: int, progress: Callable[
     state = _start(s.projector, s.base.terms, seed)
     models, best = state.models.own(fit(state.base.projector, terms, state.base))
     state = forward_selection(replace(state, models=models, best=best), progress)
-    return _concluded(state, s.proposals, progress)
+    return _settled(state, s.proposals, progress)
 
 
-def _concluded(state: State, first: Sequence[Proposal], progress: Callable[[str], None]) -> Search:
+def _settled(state: State, first: Sequence[Proposal], progress: Callable[[str], None]) -> Search:
     """The effects that stay beside each other, under the noise as their model makes it, and their rivals."""
     pruned = prune(state)
     few, dropped = essential(pruned)

@@ -433,8 +433,9 @@ def load_setup(folder: str | Path, library: EffectLibrary | None = None) -> Expe
 
 
 def as_setup(given: object, takes: str) -> Experiment:
-    """Robot, sensor and model of what a verb is given: an experiment, its folder, or a robot with a sensor where it is read for.
+    """Robot, sensor and model of what a verb is given: an experiment, its folder, or a robot.
 
+    A robot has the sensor in the joint that it was loaded with, or under its base.
     ``takes`` is what the verb takes, for the message.
     """
     if isinstance(given, Robot):

@@ -10,7 +10,7 @@ from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.readings import has_readings, make_channels, readings_of
 from bayesid.validation.mistakes.candidates import Mistake
-from bayesid.validation.mistakes.evidence import WORSE, columns_beside, independent_samples
+from bayesid.validation.mistakes.evidence import FITTED, WORSE, columns_beside, independent_samples, rms
 from bayesid.validation.mistakes.samples import MARGIN, splined
 
 _STEP, _LONGEST = 0.01, 0.5  # of the delays that are tried [s]
@@ -20,7 +20,6 @@ _SAMPLES, _SMOOTHED = 400, 20_000
 _PARTS = 8  # of all recordings, which must agree
 #: Log odds against no delay that it needs: as any other mistake (`bayesid.validation.mistakes.search`).
 _NEEDED = 13.8
-_EXPLAINED = 0.005  # share of its variation to which a channel is explained at most
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,7 @@ def _profile(delays: np.ndarray, design: np.ndarray, read: np.ndarray, none: int
     """Least squares of readings of every delay (N, c, k), channels weighted by what they leave without one."""
     count, channels, _ = design.shape
     variation = np.maximum(read[:, :, none].std(axis=0), 1e-9)
-    floor = np.maximum(_EXPLAINED * variation, 1e-3 * variation.max())
+    floor = np.maximum(FITTED * variation, 1e-3 * variation.max())
     left, residual = variation, read
     for _ in range(2):
         weights = 1.0 / np.maximum(left, floor)
@@ -120,8 +119,8 @@ def _profile(delays: np.ndarray, design: np.ndarray, read: np.ndarray, none: int
         basis = scaled @ (vectors[:, known] / np.sqrt(power[known]))
         target = (read * weights[:, None]).reshape(count * channels, -1)
         residual = (target - basis @ (basis.T @ target)).reshape(read.shape) / weights[:, None]
-        left = np.sqrt(np.mean(residual[:, :, none] ** 2, axis=0))
-    every = np.sqrt(np.mean(residual**2, axis=0))
+        left = rms(residual[:, :, none])
+    every = rms(residual)
     likelihood = -np.log(np.maximum(every, floor[:, None])).sum(axis=0)
     best = int(np.argmax(likelihood))
     worth = independent_samples(residual[:, :, best], np.zeros(count))

@@ -102,6 +102,8 @@ def columns_beside(channels: Channels, velocities: np.ndarray, accelerations: np
 
 #: A channel explained to this share of its variation is explained; a better fit is no evidence for anything.
 EXPLAINED = 0.02
+#: Least share of its variation to which bodies and what is beside them explain a channel where they are fitted freely.
+FITTED = 0.005
 #: Nor is any reading trusted beyond this share of the largest of its kind: sensors and drives of one robot are alike, and where
 #: a wrist's torques are this small beside the shoulder's, friction and crosstalk are as large.
 TRUSTED = 0.01
@@ -188,7 +190,7 @@ class Explainer:
             residual = target - columns @ parameters
             if k == len(self._counts):
                 self._counts.append(count)
-            left = _rms(residual)
+            left = rms(residual)
             count = self._counts[k] + change.numbers
             fits.append(RobotFit(k, parameters, residual, left, self._log_likelihood(left), count))
         return fits
@@ -205,7 +207,7 @@ class Explainer:
             whole = np.tensordot(weights, squares, 1)
             ridge = _RIDGE if k == 0 else _HARDLY_ANY
             factors = _non_negative(expand.T @ whole @ expand, expand.T @ (weights @ products), ridge)
-            left = _rms(target - columns @ (expand @ factors))
+            left = rms(target - columns @ (expand @ factors))
         return expand @ factors, int(np.count_nonzero(factors))
 
     def left_out(self, change: Change = AS_RECORDED) -> dict[int, np.ndarray]:
@@ -221,7 +223,7 @@ class Explainer:
             squares = _squares(kept)
             for k, residual in residuals.items():
                 residual[out] = target[out] - columns[out] @ self._solved(k, kept, read, squares)[0]
-        return {k: _rms(residual) for k, residual in residuals.items()}
+        return {k: rms(residual) for k, residual in residuals.items()}
 
     @cached_property
     def unmended(self) -> dict[int, np.ndarray]:
@@ -294,7 +296,7 @@ class Explainer:
             basis = np.column_stack([rigid[:, j], beside[:, j, np.any(beside[:, j] != 0.0, axis=0)]])
             vectors, sizes, _ = np.linalg.svd(basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-300), full_matrices=False)
             vectors = vectors[:, sizes > 1e-9 * sizes[0]]
-            out[:, j] = _rms(self.samples.readings - vectors @ (vectors.T @ self.samples.readings))
+            out[:, j] = rms(self.samples.readings - vectors @ (vectors.T @ self.samples.readings))
         return out
 
     @cached_property
@@ -334,7 +336,7 @@ class Explainer:
         products = weights @ np.einsum("ncm,nc->cm", columns, target, optimize=True)
         free = expand if fixed is None else expand[:, 1:]
         factors = _non_negative(free.T @ np.tensordot(weights, squares, 1) @ free, free.T @ products, _HARDLY_ANY)
-        return (factors if fixed is None else np.append(fixed, factors)), _rms(target - columns @ (free @ factors))
+        return (factors if fixed is None else np.append(fixed, factors)), rms(target - columns @ (free @ factors))
 
     def _target(self, change: Change) -> np.ndarray:
         """Readings as recorded, with the weight that they lack (N, c)."""
@@ -421,7 +423,8 @@ class Design:
         return _squares(self.columns)
 
 
-def _rms(residual: np.ndarray) -> np.ndarray:
+def rms(residual: np.ndarray) -> np.ndarray:
+    """Root mean square of each column of residuals (N, ...)."""
     return np.sqrt(np.mean(residual**2, axis=0))
 
 

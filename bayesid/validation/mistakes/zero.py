@@ -11,12 +11,11 @@ from bayesid.recordings.motion import Motion
 from bayesid.regression.linalg import pseudo_inverse
 from bayesid.regression.readings import has_readings, make_channels
 from bayesid.validation.mistakes.candidates import Mistake
-from bayesid.validation.mistakes.evidence import WORSE, independent_samples
+from bayesid.validation.mistakes.evidence import FITTED, WORSE, independent_samples, rms
 from bayesid.validation.mistakes.samples import MARGIN, splined
 
 _SAMPLES, _SHORTEST = 300, 2.0  # in all, and of a piece [s]
 _CLEAR = 3.0  # standard deviations from which on an axis is told
-_EXPLAINED = 0.005  # share of its variation to which an axis is explained at most
 
 
 def zeros_moved(experiment: Experiment, needed: float) -> list[Mistake]:
@@ -47,10 +46,10 @@ def _moved(experiment: Experiment, motion: Motion, needed: float) -> Mistake | N
     axes = np.tile(np.eye(count), (len(read), 1, 1))
     rigid = kernel.dynamics(q, v, a) - kernel.dynamics(q, 0.0 * v, 0.0 * a)
     beside = np.concatenate([rigid, axes * times[:, None, None]], axis=2)
-    floor = np.maximum(_EXPLAINED * read.std(axis=0), 1e-9)
+    floor = np.maximum(FITTED * read.std(axis=0), 1e-9)
     before, _ = _fitted(beside, read, floor)
     after, solution = _fitted(np.concatenate([beside, axes], axis=2), read, floor)
-    left = [np.maximum(np.sqrt(np.mean(x**2, axis=0)), floor) for x in (before, after)]
+    left = [np.maximum(rms(x), floor) for x in (before, after)]
     gained, worth = float(np.log(left[0] / left[1]).sum()), independent_samples(after, np.concatenate(part))
     evidence = worth * gained - 0.5 * count * np.log(worth)
     if gained < WORSE or evidence < needed:
@@ -70,7 +69,7 @@ def _fitted(columns: np.ndarray, read: np.ndarray, floor: np.ndarray) -> tuple[n
     """What columns (N, c, p) leave of readings (N, c), and their factors (p,), axes weighted by what they leave."""
     residual, solution = read - read.mean(axis=0), np.zeros(columns.shape[2])
     for _ in range(3):
-        weight = 1.0 / np.maximum(np.sqrt(np.mean(residual**2, axis=0)), floor)
+        weight = 1.0 / np.maximum(rms(residual), floor)
         rows = (columns * weight[:, None]).reshape(-1, columns.shape[2])
         size = np.linalg.norm(rows, axis=0)
         size = np.where(size > 1e-9 * size.max(), size, np.inf)
