@@ -30,6 +30,7 @@ from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.readings import default_channel
 from bayesid.results.payload import NEXT_POSES, EffectBeside, PayloadEstimate
 from bayesid.robot.inertia import PARAMETERS
+from bayesid.robot.urdf_file import FARTHEST
 from bayesid.rounding import channel_text, number, percent, with_half
 from bayesid.workflows.diagnose import diagnose
 from bayesid.workflows.explained import Explained, explain, offset_of
@@ -150,12 +151,12 @@ def payload(
     Raises
     ------
     InputError
-        Bad input, or nothing tells the payload from the arm: neither a sensor that carries it alone, nor a reference, nor a
+        Bad input, or nothing tells the payload from the arm: neither a sensor that carries it alone, nor a reference, nor
         the prior of the nominal model.
     """
     chosen = some_options("payload", options, channel=channel, motions=motions, effects=effects)
-    if extent is not None and not (np.isfinite(extent) and extent > 0.0):
-        raise InputError(f"{argument('extent', extent)}: give a length in metres above 0")
+    if extent is not None and not 0.0 < extent <= FARTHEST:
+        raise InputError(f"{argument('extent', extent)}: give a length in metres, above 0 and at most {FARTHEST:g}")
     clock = Clock(progress)
     clock("reading")
     experiment = as_experiment(experiment)

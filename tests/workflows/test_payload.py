@@ -445,7 +445,8 @@ def test_what_cannot_be_told_is_refused_in_one_line(tmp_path, wrist):
         (dict(), "a payload looks like a heavier last link: name a recording without it"),
         (dict(joint="joint9", reference=torques), "no such joint; choose one of joint1, joint2"),
         (dict(effects=["unheard_of"], reference=torques), "no effect is called 'unheard_of'"),
-        (dict(extent=-1.0), "give a length in metres above 0"),
+        (dict(extent=-1.0), "give a length in metres, above 0 and at most 10000"),
+        (dict(extent=1e300), "extent=1e.300: give a length in metres, above 0"),
     ):
         with pytest.raises(bayesid.InputError, match=said):
             bayesid.payload(replace(torques, inertia_rel_std=None), **broken)
