@@ -71,3 +71,11 @@ def test_weight_chooses_among_the_motions_found(tmp_path, monkeypatch):
     assert chosen.diagnosability.value <= told.diagnosability.value
     assert chosen.value <= told.value and chosen.within_limits
     assert len(chosen.to_dict()["diagnosability"]["effects"]) == len(chosen.diagnosability.effects)
+
+
+def test_a_delay_of_all_torques_is_among_the_effects(tmp_path):
+    experiment = experiment_of("puma560", tmp_path)
+    task, _ = make_task(experiment, ExcitationOptions(channel="torque"))
+    series = random_feasible(task.coordinates, task.limits, np.random.default_rng(0), 240)
+    shown = diagnosability(experiment, task.information, series, 2500.0)
+    assert "torque_delay@robot" in {e.effect for e in shown.effects}

@@ -21,7 +21,6 @@ from bayesid.design.excitation.series import FourierSeries
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.effects import Effect, MotionSegment, Term
 from bayesid.effects.exact import columns, readings
-from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.linalg import orthonormal_basis
 from bayesid.robot.prior import assumed_links
@@ -112,14 +111,11 @@ def diagnosability(experiment: Experiment, information: Information, series: Fou
 
 def _library(experiment: Experiment, information: Information) -> list[Effect]:
     """Every effect that the library has for these readings, at each of its places, but those of the model."""
-    names = [name for name, c in experiment.library.classes.items() if not c.once and c.columns_of is None]
-    own, joints = {e.spec for e in information.effects}, experiment.robot.joint_names
+    library, own = experiment.library, {e.spec for e in information.effects}
     out: list[Effect] = []
-    for name in names:
-        try:
-            found = experiment.library.parse([name], joints, information.channels.names, experiment.gear_ratio)
-        except InputError:  # it needs what the experiment does not state
+    for name, c in library.classes.items():
+        if c.once or c.columns_of is not None or (c.removed_by_static_run and information.sensor_set.gravity):
             continue
-        gone = [] if information.sensor_set.gravity else [e for e in found if e.removed_by_static_run]
-        out += [e for e in found if e.spec not in own and e not in gone and any(e.typical(experiment.robot))]
+        found = library.places(name, experiment.robot.joint_names, information.channels.names, experiment.gear_ratio)
+        out += [e for e in found if e.spec not in own and any(e.typical(experiment.robot))]
     return out
