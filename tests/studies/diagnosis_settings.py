@@ -35,6 +35,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "case_studies" / "blin
 
 import numpy as np
 from judge import CLAIMS, within
+from make import ROBOTS, make
 from tqdm import tqdm
 
 import bayesid
@@ -67,8 +68,8 @@ The {{ count }} thresholds of `bayesid.diagnosis.settings.Settings`, where the r
 (whole numbers by one at least, shares at most half-way to one), the others held, on fresh recordings of the plant of
 [blind naming](../../../case_studies/blind_naming/README.md). "Right" counts recordings whose hidden effects are named and
 nothing else; nothing, where nothing is hidden; and `unknown`, where what is hidden is not in the library. "Changed" counts
-recordings with another verdict or other names than with the thresholds as they stand. Made by
-`python -m tests.studies.diagnosis_settings`.
+recordings with another verdict or other names than with the thresholds as they stand. Recordings of few channels come first.
+Made by `python -m tests.studies.diagnosis_settings`.
 
 {{ limits }} other numbers limit computing and are no thresholds: steps, rounds, draws, rows listed, each a constant beside the
 function that uses it (`LIMITS` in the script). They are moved likewise once the thresholds are done.
@@ -326,8 +327,6 @@ def diagnosed(folder: Path, channel: str, settings: Settings = DEFAULT) -> dict[
 
 def answers(work: Path, count: int, seed: int, quick: bool) -> list[dict[str, Any]]:
     """The recordings' answers; they are made unless they are there."""
-    from make import make
-
     folder = work / "recordings"
     if not (folder / "answers").exists():
         make(folder, count, seed, *((("single", "none"), ("viscous_friction",)) if quick else ()))
@@ -386,6 +385,8 @@ def main(arguments: list[str] | None = None) -> None:
     for part in kept.values():
         with concurrent.futures.ProcessPoolExecutor(options.jobs, mp_context=fresh) as pool:
             open_ = [c for c in cases if part["values"] and f"{options.seed}/{c['case']}" not in part["recordings"]]
+            # Those of few channels take a minute, those of many up to an hour.
+            open_.sort(key=lambda c: (c["channel"] == "both", ROBOTS.index(c["robot"])))
             runs = {pool.submit(of_recording, options.work / "recordings", c, list(part["values"])): c["case"] for c in open_}
             for run in tqdm(concurrent.futures.as_completed(runs), total=len(runs), mininterval=10.0):
                 part["recordings"][f"{options.seed}/{runs[run]}"] = run.result()
