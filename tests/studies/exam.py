@@ -234,9 +234,8 @@ def scores(part: str, found: dict[str, dict[str, Any]]) -> dict[str, Score]:
             if right:
                 out[words] = percent(float(np.mean(right)), len(right))
     elif part == "coverage" and told:
-        for name in next(iter(told.values())):
-            if name == "seconds":
-                continue
+        # A folder may hold cases of older revisions, which asked for fewer estimators.
+        for name in [n for n in next(iter(told.values())) if n != "seconds" and all(n in f for f in told.values())]:
             held = np.array([f[name]["held"] for f in told.values()], float)
             z = np.array([f[name]["z"] for f in told.values()])
             by_run = held.mean(axis=1)
