@@ -269,6 +269,9 @@ class Compared:
     def __ge__(self, other: Any) -> Any:
         return self._asked(lambda x: x >= other)
 
+    def __getitem__(self, key: Any) -> Compared:
+        return self._with(lambda x: x[key])
+
     def __float__(self) -> float:
         return float(self._left())
 
@@ -388,9 +391,13 @@ def main(arguments: list[str] | None = None) -> None:
             # Those of few channels take a minute, those of many up to an hour.
             open_.sort(key=lambda c: (c["channel"] == "both", ROBOTS.index(c["robot"])))
             runs = {pool.submit(of_recording, options.work / "recordings", c, list(part["values"])): c["case"] for c in open_}
-            for run in tqdm(concurrent.futures.as_completed(runs), total=len(runs), mininterval=10.0):
-                part["recordings"][f"{options.seed}/{runs[run]}"] = run.result()
-                written(kept, docs)
+            try:
+                for run in tqdm(concurrent.futures.as_completed(runs), total=len(runs), mininterval=10.0):
+                    part["recordings"][f"{options.seed}/{runs[run]}"] = run.result()
+                    written(kept, docs)
+            except BaseException:
+                pool.shutdown(cancel_futures=True)  # else all others are diagnosed first, and nobody writes down what comes of it
+                raise
     written(kept, docs)
 
 
