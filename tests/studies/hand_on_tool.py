@@ -170,14 +170,14 @@ def picture(shown: list[dict[str, Any]], path: Path) -> None:
     import matplotlib.pyplot as plt
 
     with plt.rc_context(STYLE | {"svg.hashsalt": "bayesid"}):  # pyright: ignore[reportArgumentType]
-        figure, axes = plt.subplots(1, len(shown), figsize=(10.5, 2.6), layout="constrained")
+        figure, axes = plt.subplots(1, len(shown), figsize=(10.5, 2.8), layout="constrained")
         for ax, x in zip(axes, shown, strict=True):
             for k, (axis, colour) in enumerate(zip(("fx", "fy", "fz"), (BLUE, ORANGE, GREEN), strict=True)):
                 ax.plot(x["t"], x["true"][:, k], color=colour, lw=3.0, alpha=0.3)
                 ax.plot(x["t"], x["found"][:, k], color=colour, lw=1.0, label=axis)
             ax.set_xlabel("time [s]")
         axes[0].set_ylabel("force in base axes [N]")
-        axes[-1].legend(frameon=False, loc="upper right", ncols=3)
+        figure.legend(*axes[-1].get_legend_handles_labels(), frameon=False, loc="outside upper right", ncols=3)
         figure.savefig(path, format="svg", metadata={"Date": None})
         plt.close(figure)
 
