@@ -79,3 +79,11 @@ def test_a_delay_of_all_torques_is_among_the_effects(tmp_path):
     series = random_feasible(task.coordinates, task.limits, np.random.default_rng(0), 240)
     shown = diagnosability(experiment, task.information, series, 2500.0)
     assert "torque_delay@robot" in {e.effect for e in shown.effects}
+
+
+def test_an_offset_that_a_static_run_takes_away_is_not_among_the_effects(tmp_path):
+    experiment = experiment_of("puma560", tmp_path)
+    task, _ = make_task(experiment, ExcitationOptions(channel="wrench", static=True))
+    series = random_feasible(task.coordinates, task.limits, np.random.default_rng(0), 240)
+    shown = diagnosability(experiment, task.information, series, 2500.0)
+    assert "sensor_offset@sensor" not in {*shown.hidden, *(e.effect for e in shown.effects)}

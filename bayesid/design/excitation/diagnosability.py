@@ -114,7 +114,7 @@ def _library(experiment: Experiment, information: Information) -> list[Effect]:
     library, own = experiment.library, {e.spec for e in information.effects}
     out: list[Effect] = []
     for name, c in library.classes.items():
-        if c.once or c.columns_of is not None or (c.removed_by_static_run and information.sensor_set.gravity):
+        if c.once or c.columns_of is not None or (c.removed_by_static_run and not information.sensor_set.gravity):
             continue
         found = library.places(name, experiment.robot.joint_names, information.channels.names, experiment.gear_ratio)
         out += [e for e in found if e.spec not in own and any(e.typical(experiment.robot))]
