@@ -87,14 +87,15 @@ class BaseParameters:
 
 def structural_base(
     robot: Robot, channels: Channels, *, gravity: bool = True, offset: bool = False, at_rest: bool = False,
-    held: np.ndarray | None = None, seed: int = 0,
+    held: np.ndarray | None = None, columns: np.ndarray | None = None, seed: int = 0,
 ) -> BaseParameters:  # fmt: skip
     """Base parameters of a robot and its readings, for the richest possible motion.
 
     Without ``gravity`` of motion wrenches, from which it has been subtracted; with an ``offset`` beside constant offsets of a
     wrench that are estimated, so that what looks like one drops out; ``at_rest`` of static poses alone. ``held`` is where joints
-    stand that do not move (n,) [rad or m], nan for those that do; default: all move. The result does not depend on the ``seed``
-    of the random states that the rank is taken on.
+    stand that do not move (n,) [rad or m], nan for those that do; default: all move. ``columns`` are indices of the parameters
+    that are not known (k,); default: all. The result does not depend on the ``seed`` of the random states that the rank is taken
+    on.
     """
     rng = np.random.default_rng(seed)
     count = max(60, 12 * len(robot.body_names))
@@ -105,15 +106,15 @@ def structural_base(
     if held is not None:
         still = np.isfinite(held)
         q[:, still], v[:, still], a[:, still] = held[still], 0.0, 0.0
-    rows = Kernel.of(robot, channels).dynamics(q, v, a, gravity=gravity)
+    columns = np.arange(len(robot.parameter_names)) if columns is None else columns
+    rows = Kernel.of(robot, channels, columns).dynamics(q, v, a, gravity=gravity)
     wrench = [c for c, name in enumerate(channels.names) if not name.startswith("tau")]
     constants = np.zeros((count, len(channels), len(wrench) if offset else 0))
     for k, c in enumerate(wrench[: constants.shape[2]]):
         constants[:, c, k] = 1.0
+    names, units = ([every[k] for k in columns.tolist()] for every in (robot.parameter_names, robot.parameter_units))
     flat = count * len(channels)
-    return regroup(
-        rows.reshape(flat, -1), robot.parameter_names, robot.parameter_units, constants.reshape(flat, constants.shape[2])
-    )
+    return regroup(rows.reshape(flat, -1), names, units, constants.reshape(flat, constants.shape[2]))
 
 
 def regroup(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -48,10 +49,16 @@ def load_checkpoint(path: Path, mark: str) -> dict[str, Any] | None:
     return content
 
 
-def _digest(kept: np.ndarray, rest: str) -> str:
-    digest = sha256(f"{kept.shape} {kept.dtype.str} {rest}".encode())
-    digest.update(np.ascontiguousarray(kept).tobytes())
+def mark_of(arrays: Iterable[np.ndarray], settings: Any) -> str:
+    """What a run depends on, arrays and whatever prints alike if it is the same, as a text to know it by."""
+    digest = sha256(repr(settings).encode())
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
+
+
+def _digest(kept: np.ndarray, rest: str) -> str:
+    return mark_of([kept], (kept.shape, kept.dtype.str, rest))
 
 
 def _encode(value: Any) -> Any:

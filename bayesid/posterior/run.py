@@ -5,11 +5,9 @@ Whether they have is told by R-hat over independent chains and effective sample 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,7 @@ import numpy as np
 
 from bayesid.arguments import argument
 from bayesid.errors import EstimationError, InputError
-from bayesid.posterior.checkpoint import load_checkpoint, save_checkpoint
+from bayesid.posterior.checkpoint import load_checkpoint, mark_of, save_checkpoint
 from bayesid.posterior.convert import load_arviz
 from bayesid.posterior.ensemble import Ensemble
 from bayesid.posterior.model import PosteriorModel
@@ -225,10 +223,6 @@ def _monitored(model: PosteriorModel, draws: np.ndarray) -> tuple[np.ndarray, tu
 
 def fingerprint(model: PosteriorModel, engine: Engine, draws: int, chains: int, seed: int) -> str:
     """What a checkpoint belongs to: data, model, engine and seed."""
-    digest = sha256()
-    for array in (model.likelihood.factors, model.likelihood.counts, model.to_columns, model.prior_factor):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    settings = [model.names, model.noise, str(model.scale_prior), str(model.dof_prior), model.physical, engine.name,
-                engine.walkers, getattr(engine, "moves", ""), draws, chains, seed]  # fmt: skip
-    digest.update(json.dumps(settings).encode())
-    return digest.hexdigest()
+    settings = (model.names, model.noise, model.scale_prior, model.dof_prior, model.physical, engine.name, engine.walkers,
+                getattr(engine, "moves", ""), draws, chains, seed)  # fmt: skip
+    return mark_of((model.likelihood.factors, model.likelihood.counts, model.to_columns, model.prior_factor), settings)

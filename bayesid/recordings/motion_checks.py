@@ -254,23 +254,21 @@ def check_velocity(table: Table, robot: Robot, j: int) -> list[str]:
     middle = np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())
     scale = float(ratios[order][middle])
     fits = f"{place}: {scale:.3g} times what column q{j + 1} of {robot.joint_names[j]} says"
-    slides = {
+    known = {
         -1.0: "the sign is reversed; turn it, or leave the v columns out",
+        1e6: "column t looks like microseconds; write seconds",
+        1e9: "column t looks like nanoseconds; write seconds",
+    }
+    known |= {
         1e3: "it looks like millimetres per second, or column t like milliseconds; write m/s and seconds",
         1e-3: f"column q{j + 1} looks like millimetres; write m",
-        1e6: "column t looks like microseconds; write seconds",
-        1e9: "column t looks like nanoseconds; write seconds",
-    }
-    turns = {
+    } if robot.prismatic[j] else {
         _DEGREE: "it looks like degrees per second; write rad/s",
         1.0 / _DEGREE: f"column q{j + 1} looks like degrees; write rad",
-        -1.0: "the sign is reversed; turn it, or leave the v columns out",
         1e3: "column t looks like milliseconds; write seconds",
-        1e6: "column t looks like microseconds; write seconds",
-        1e9: "column t looks like nanoseconds; write seconds",
         1e3 * _DEGREE: "it looks like degrees per second with t in milliseconds; write rad/s and seconds",
-    }
-    for factor, advice in (slides if robot.prismatic[j] else turns).items():
+    }  # fmt: skip
+    for factor, advice in known.items():
         if 1.0 / _NEAR < scale / factor < _NEAR:
             raise InputError(f"{fits}; {advice}")
     if abs(scale - 1.0) <= 0.2:

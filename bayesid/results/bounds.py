@@ -12,7 +12,7 @@ from scipy.io import savemat
 
 from bayesid.design.bounds.bands import FAR, Band, band
 from bayesid.design.bounds.knowledge import Known
-from bayesid.design.bounds.model import ReadingModel, checked_states
+from bayesid.design.bounds.model import ReadingModel
 from bayesid.design.bounds.region import Region
 from bayesid.design.bounds.remainder import Remainder
 from bayesid.design.bounds.robust import ellipsoid_term, norm_term, tracking_bound
@@ -27,6 +27,7 @@ from bayesid.results.fitted_model import joint_dynamics
 from bayesid.robot.urdf import write_urdf
 from bayesid.rounding import HALF, number, percent
 from bayesid.section import Part, ShownTable
+from bayesid.validation.predicted_readings import checked_states
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

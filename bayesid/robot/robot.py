@@ -69,7 +69,10 @@ def locate_sensor(urdf: Path, model, name: str, index, parent, anchor, frame) ->
     # The sensor sits in a fixed or locked joint: all frames beyond it, through fixed or locked joints, are
     # its far part; moving joints beyond it keep their own bodies.
     here = found[0]
-    beyond = [k for k in range(len(model.frames)) if _frame_descends(model, k, here)]
+    beyond = [here]
+    for k in range(here + 1, len(model.frames)):  # a frame comes after its parent
+        if int(model.frames[k].parentFrame) in beyond:
+            beyond.append(k)
     own_joint = int(model.frames[here].parentJoint)
     mover = anchor[own_joint]
     placement = frame[own_joint] * model.frames[here].placement
@@ -128,15 +131,6 @@ def _movers(parent: np.ndarray) -> np.ndarray:
             table[joint, k] = True
             joint = int(parent[joint])
     return table
-
-
-def _frame_descends(model, frame: int, ancestor: int) -> bool:
-    while frame != ancestor:
-        up = int(model.frames[frame].parentFrame)
-        if up == frame or frame == 0:
-            return False
-        frame = up
-    return True
 
 
 _STANDARD_GRAVITY = (0.0, 0.0, -9.81)

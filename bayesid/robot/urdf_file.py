@@ -85,7 +85,6 @@ HEAVIEST, LIGHTEST = 1e7, 1e-12
 FARTHEST, LARGEST = 1e4, 1e12
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _SHOWN = 40  # characters of a value that a message quotes
 #: Makes an error at a place of the file.
 Wrong = Callable[..., InputError]
@@ -303,11 +302,12 @@ def stated_body(link: ET.Element, wrong: Wrong) -> np.ndarray:
         raise wrong(f"mass {m:g} kg", value=m, remedy="masses are 0 or more: correct it")
     if m > HEAVIEST or 0.0 < m < LIGHTEST:
         raise wrong(f"mass {m:g} kg is no link's", value=m, remedy=f"write kilograms, {LIGHTEST:g} to {HEAVIEST:g}, or 0")
-    xx, xy, xz, yy, yz, zz = (_number(about.get(key), key, wrong, LARGEST) for key in _INERTIA)
+    tensor = np.zeros((3, 3))
+    for key, (i, k) in inertia.ENTRIES.items():
+        tensor[i, k] = tensor[k, i] = _number(about.get(key), key, wrong, LARGEST)
     com, rpy = _origin(inertial, wrong)
     rotation = pin.rpy.rpyToMatrix(*map(float, rpy))
-    tensor = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
-    return inertia.from_mass_com_inertia(m, com, tensor)
+    return inertia.from_mass_com_inertia(m, com, rotation @ tensor @ rotation.T)
 
 
 def _doubts(moved: dict[str, np.ndarray], source: str) -> list[str]:

@@ -13,6 +13,7 @@ from bayesid.regression.linalg import takes, unshown
 from bayesid.regression.problem import Problem
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
+from bayesid.robot.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +47,17 @@ class PredictedReadings:
         return f"<PredictedReadings: {len(self.values)} samples of {', '.join(self.channel_names)}{gravity}>"
 
 
+def checked_states(robot: Robot, *states: np.ndarray) -> list[np.ndarray]:
+    """Positions, velocities and so on as finite arrays (N, n); an `InputError` where they are not."""
+    out = [np.atleast_2d(np.asarray(x, float)) for x in states]
+    for name, x in zip(("q", "v", "a", "a_r"), out, strict=False):
+        if x.shape != (len(out[0]), robot.n) or not len(x):
+            raise InputError(f"{name} has shape {x.shape}: give (N, {robot.n}), one column a joint, all with the same N")
+        if not np.isfinite(x).all():
+            raise InputError(f"{name} is not finite in row {int(np.argwhere(~np.isfinite(x))[0][0])}; leave that sample out")
+    return out
+
+
 def predict_readings(
     problem: Problem,
     solution: np.ndarray,
@@ -63,13 +75,8 @@ def predict_readings(
     An `InputError` where shapes do not fit, values are not finite, or times are missing.
     """
     row_model = problem.row_model
-    states = [np.atleast_2d(np.asarray(x, float)) for x in (q, v, a)]
-    count, n = states[0].shape[0], row_model.robot.n
-    for name, x in zip("qva", states, strict=True):
-        if x.shape != (count, n) or not count:
-            raise InputError(f"{name} has shape {np.shape(x)}: give (N, {n}), one column a joint, for q, v and a alike")
-        if not np.isfinite(x).all():
-            raise InputError(f"{name} is not finite in row {int(np.argwhere(~np.isfinite(x))[0][0])}; leave that sample out")
+    states = checked_states(row_model.robot, q, v, a)
+    count = len(states[0])
     gravity = any(s.gravity for s in problem.fitted_segments)
     if times is None:
         _require_timeless(problem, states, gravity)
@@ -92,15 +99,14 @@ def _columns(row_model: RowModel, times: np.ndarray, states: list[np.ndarray], g
     """``matrix`` (N, c, p) and ``constant`` (N, c): readings are ``constant + matrix @ solution``."""
     rank, channels = row_model.base.rank, row_model.channels
     state = MotionSegment(times, states[0], states[1], states[2], bandwidth=row_model.bandwidth)
+    nothing = np.zeros((len(times), len(channels)))
     if row_model.point is not None:
         state = replace(state, middle=row_model.point.middle)
-        nothing = np.zeros((len(times), len(channels)))
         rigid, others, target = linearised(
             row_model.robot, channels, state, row_model.effects, row_model.point, row_model.base.independent, nothing,
             gravity=gravity,
         )  # fmt: skip
         return np.concatenate([rigid, others], axis=2), -target
-    nothing = np.zeros((len(times), len(channels)))
     segment = Segment(times, states[0], nothing, nothing, 0, gravity=gravity, offset=gravity)
     matrix = np.empty((*nothing.shape, rank + row_model.extra_columns))
     matrix[:, :, :rank] = row_model.kernel.dynamics(*states, gravity=gravity)

@@ -11,6 +11,7 @@ import pytest
 from bayesid.cli import main
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
+from bayesid.design.excitation.series import FourierSeries
 from bayesid.design.tell.choose import (
     Planned,
     SeenInstruments,
@@ -187,7 +188,7 @@ def test_motions_stay_within_the_limits_at_a_finer_sampling_and_rest_at_both_end
 
 
 def test_a_motion_that_takes_too_much_torque_is_slowed_down(robot, limits):
-    motion = Planned(np.zeros(2), np.full((1, 2), 0.3), np.zeros((1, 2)), 0.7, paces(10.0)[0], 10.0)
+    motion = Planned(FourierSeries(1.0 / 0.7, np.zeros(2), np.full((1, 2), 0.3), np.zeros((1, 2))), paces(10.0)[0], 10.0)
     free = replace(limits, loads=(), acceleration=np.full(2, np.inf))
     strong = within_limits(motion, free)
     assert strong is not None
@@ -197,7 +198,7 @@ def test_a_motion_that_takes_too_much_torque_is_slowed_down(robot, limits):
     assert (full > most).any()
     slowed = within_limits(motion, replace(free, loads=(replace(limits.loads[0], most=most),)))
     assert slowed is not None
-    assert strong.fundamental == 0.7 and slowed.fundamental < 0.7
+    assert strong.path.period == 1.0 / 0.7 and slowed.path.period > 1.0 / 0.7
     assert (torque_of(robot, slowed.trajectory("x", 500.0)) <= most).all()
     assert within_limits(motion, replace(free, loads=(replace(limits.loads[0], most=np.full(2, 1e-3)),))) is None
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from bayesid.design.accuracy.bench import Bench, own_setting, twin
 from bayesid.design.accuracy.fits import fit_twin
 from bayesid.errors import BayesidError, EstimationError, InputError
 from bayesid.estimators.estimator import LEVEL
-from bayesid.posterior.checkpoint import load_checkpoint, save_checkpoint
+from bayesid.posterior.checkpoint import load_checkpoint, mark_of, save_checkpoint
 from bayesid.regression.parallel import in_order
 from bayesid.tasks import map_tasks
 
@@ -169,10 +168,6 @@ def _counted(bench: Bench, found: np.ndarray, seed: int) -> CoverageCertificate:
 
 def _mark(bench: Bench, seed: int) -> str:
     """What a kept file belongs to: the truth, its noise, the motion, how it is fitted, and the seed."""
-    digest = blake2b(digest_size=16)
-    for array in (bench.links, bench.truth, bench.noise.innovation, bench.noise.coefficients, bench.position_std):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    for motion in bench.motions:
-        digest.update(motion.motion.table.positions.tobytes())
-    digest.update(repr((bench.options, bench.method, bench.resolution, seed)).encode())
-    return digest.hexdigest()
+    truth = (bench.links, bench.truth, bench.noise.innovation, bench.noise.coefficients, bench.position_std)
+    positions = (motion.motion.table.positions for motion in bench.motions)
+    return mark_of((*truth, *positions), (bench.options, bench.method, bench.resolution, seed))

@@ -19,7 +19,6 @@ from bayesid.dynamics.base_parameters import BaseParameters, spanned, structural
 from bayesid.dynamics.channels import Channels, torque_channels
 from bayesid.dynamics.regressors import Kernel
 from bayesid.effects.families import JointMotion, JointTorqueEffect, differences
-from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
 
 #: Share of a change below which it is rounding, and random states at which it would show.
@@ -186,14 +185,3 @@ def _shown(model: ReadingModel, changes: np.ndarray, seed: int) -> bool:
 def spread(matrix: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Standard deviations of ``matrix @ parameters`` (N, c)."""
     return np.sqrt(np.maximum(np.sum((matrix @ covariance) * matrix, axis=2), 0.0))
-
-
-def checked_states(robot: Robot, *states: np.ndarray) -> list[np.ndarray]:
-    """Positions, velocities and so on as finite arrays (N, n); an `InputError` where they are not."""
-    out = [np.atleast_2d(np.asarray(x, float)) for x in states]
-    for name, x in zip(("q", "v", "a", "a_r"), out, strict=False):
-        if x.shape != (len(out[0]), robot.n) or not len(x):
-            raise InputError(f"{name} has shape {x.shape}: give (N, {robot.n}), one column a joint, all with the same N")
-        if not np.isfinite(x).all():
-            raise InputError(f"{name} is not finite in row {int(np.argwhere(~np.isfinite(x))[0][0])}; leave that sample out")
-    return out

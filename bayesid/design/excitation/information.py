@@ -41,7 +41,7 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.design.excitation.series import FourierSeries
 from bayesid.design.reading_noise import ReadingNoise, SensorSet
-from bayesid.dynamics.base_parameters import BaseParameters, regroup, structural_base
+from bayesid.dynamics.base_parameters import BaseParameters, structural_base
 from bayesid.dynamics.channels import Channels, torque_channels
 from bayesid.dynamics.regressor_gradient import regressor_gradient
 from bayesid.dynamics.regressors import Kernel
@@ -346,17 +346,7 @@ def _payload(text: str, where: str, experiment: Experiment, information: Informa
     own = 10 * body_of(robot, joint) + np.arange(10)
     sensor_set, channels = information.sensor_set, information.channels
     offset = sensor_set.offset == "fitted"
-    rng = np.random.default_rng(0)
-    q, v, a = rng.normal(0.0, [[[1.0]], [[1.0]], [[4.0]]], (3, 60, robot.n))
-    rows = Kernel.of(robot, channels, own).dynamics(q, v, a, gravity=sensor_set.gravity)
-    constant = np.zeros((60, len(channels), 6 if offset else 0))
-    for c, name in enumerate(channels.names):
-        if offset and not name.startswith("tau"):
-            constant[:, c, c] = 1.0
-    flat = 60 * len(channels)
-    labels = [robot.parameter_names[k] for k in own.tolist()]
-    units = [robot.parameter_units[k] for k in own.tolist()]
-    base = regroup(rows.reshape(flat, 10), labels, units, constant.reshape(flat, constant.shape[2]))
+    base = structural_base(robot, channels, gravity=sensor_set.gravity, offset=offset, columns=own)
     # The mass is a function of the base parameters where a unit of it is in the span of their rows.
     mass = np.eye(10)[0]
     functions = np.linalg.lstsq(base.matrix.T, mass, rcond=None)[0]

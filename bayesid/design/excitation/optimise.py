@@ -313,9 +313,9 @@ def improve(task: Task, start: FourierSeries, found: TrajectorySearch, seconds: 
         ratios = task.limits.ratios(task.coordinates.motion(x))
         if multipliers is None:
             multipliers = [np.zeros_like(part) for part in ratios]
-        penalty = _Penalty(task, multipliers, steepness)
         done = minimize(
-            penalty, x, jac=True, method="L-BFGS-B", callback=in_time, options={"maxiter": _ITERATIONS, "maxcor": 20}
+            _penalty, x, (task, multipliers, steepness), "L-BFGS-B", jac=True, callback=in_time,
+            options={"maxiter": _ITERATIONS, "maxcor": 20},
         )  # fmt: skip
         x = done.x
         ratios = task.limits.ratios(task.coordinates.motion(x))
@@ -342,21 +342,14 @@ def _offer_within(task: Task, x: np.ndarray, found: TrajectorySearch) -> None:
             return
 
 
-class _Penalty:
+def _penalty(x: np.ndarray, task: Task, multipliers: list[np.ndarray], steepness: float) -> tuple[float, np.ndarray]:
     """The augmented Lagrangian and its gradient."""
-
-    def __init__(self, task: Task, multipliers: list[np.ndarray], steepness: float):
-        self.task, self.multipliers, self.steepness = task, multipliers, steepness
-
-    def __call__(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        task, motion = self.task, self.task.coordinates.motion(x)
-        value, gradient = task.information.judged(motion, task.recorded, task.step, task.criterion)
-        ratios = task.limits.ratios(motion)
-        share = 1.0 / len(motion[0])
-        weights = []
-        for part, multiplier in zip(ratios, self.multipliers, strict=True):
-            push = np.maximum(multiplier + self.steepness * (np.abs(part) - 1.0), 0.0)
-            value += share * float(np.sum(push**2 - multiplier**2)) / (2.0 * self.steepness)
-            weights.append(share * push * np.sign(part))
-        pushed = task.limits.gradient(motion, weights)
-        return value, task.coordinates.gradient(*(a + b for a, b in zip(gradient, pushed, strict=True)))
+    motion = task.coordinates.motion(x)
+    value, gradient = task.information.judged(motion, task.recorded, task.step, task.criterion)
+    share, weights = 1.0 / len(motion[0]), []
+    for part, multiplier in zip(task.limits.ratios(motion), multipliers, strict=True):
+        push = np.maximum(multiplier + steepness * (np.abs(part) - 1.0), 0.0)
+        value += share * float(np.sum(push**2 - multiplier**2)) / (2.0 * steepness)
+        weights.append(share * push * np.sign(part))
+    pushed = task.limits.gradient(motion, weights)
+    return value, task.coordinates.gradient(*(a + b for a, b in zip(gradient, pushed, strict=True)))

@@ -13,6 +13,9 @@ from bayesid.robot.robot import Robot, motion_limits
 
 _POSITIVE = ("duration", "period", "rate", "share", "torque_share", "sensor_share", "mount_frequency", "seconds")
 _SHARES = ("share", "torque_share", "sensor_share")
+_NOT_NEGATIVE = {
+    "diagnosability": "a weight", "margin": "a distance in metres", "settle": "a time in seconds", "read": "a time in seconds",
+}  # fmt: skip
 _MOST_SAMPLES, _MOST_HARMONICS = 2_000_000, 50
 #: Acceleration limit where none is given: full speed in this time [s]; assumed.
 _TO_FULL_SPEED = 0.25
@@ -111,10 +114,10 @@ class ExcitationOptions:
             raise InputError(
                 f"{argument('starts', self.starts)} and {argument('randoms', self.randoms)}: give at least 1 of each"
             )
-        if self.diagnosability is not None and not (np.isfinite(self.diagnosability) and self.diagnosability >= 0):
-            raise InputError(f"{argument('diagnosability', self.diagnosability)}: give a weight, 0 or more")
-        if not (np.isfinite(self.margin) and self.margin >= 0):
-            raise InputError(f"{argument('margin', self.margin)}: give a distance in metres, 0 or more")
+        for name, what in _NOT_NEGATIVE.items():
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value >= 0):
+                raise InputError(f"{argument(name, value)}: give {what}, 0 or more")
         if self.ground is not None and not self.collisions:
             without = argument("collisions", False)
             raise InputError(f"{argument('ground', self.ground)} is not kept clear with {without}; leave one of them out")
@@ -130,10 +133,6 @@ class ExcitationOptions:
         samples = int(round(self.repeats_after * self.rate))
         if self.stops is not None and not 2 <= self.stops <= samples:
             raise InputError(f"{argument('stops', self.stops)}: give 2 to {samples}, the samples of a period")
-        for name in ("settle", "read"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise InputError(f"{argument(name, value)}: give a time in seconds, 0 or more")
         lowest = 10.0 * self.harmonics / self.repeats_after
         if self.rate < lowest:
             raise InputError(

@@ -1,9 +1,8 @@
 """The motion that best tells rivals apart: the best of many within limits, then improved step by step.
 
 Motions that are tried are periodic paths run through in different ways, each within the robot's limits, at rest at both ends. A
-path is a Fourier series ``p(s) = centre + sum_k a_k sin(2 pi k f s + phase_k)`` in a parameter s, and a pace says how s goes with
-time: at once, in steps of speed, forth and back, with stops. So ``v = p' s'`` and ``a = p'' s'^2 + p' s''`` are exact, and speeds
-stay within the path's while ``|s'| <= 1``.
+path is a Fourier series p(s) in a parameter s, and a pace says how s goes with time: at once, in steps of speed, forth and back,
+with stops. So ``v = p' s'`` and ``a = p'' s'^2 + p' s''`` are exact, and speeds stay within the path's while ``|s'| <= 1``.
 
 The closed form is checked by rivals that are fitted exactly to the recordings and to what one of them predicts of a planned
 motion. It takes readings for linear in what is not known. A tether, say, whose ends and stiffness are free is not: on the new
@@ -24,6 +23,7 @@ import numpy as np
 from bayesid.design.excitation.limits import Limits
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
+from bayesid.design.excitation.series import FourierSeries
 from bayesid.design.tell.rivals import (
     Case,
     Contest,
@@ -93,32 +93,26 @@ def paces(duration: float) -> tuple[Pace, ...]:
 class Planned:
     """A motion that could be made."""
 
-    centre: np.ndarray  # (n,) [rad or m]
-    #: Of the path (h, n).
-    amplitudes: np.ndarray
-    phases: np.ndarray
-    fundamental: float  # f [Hz]
+    path: FourierSeries  # in the pace's parameter
     pace: Pace  # how it is run through
     duration: float  # [s]
 
     @property
+    def moves(self) -> np.ndarray:
+        """Which joints move (n,)."""
+        return np.any([self.path.sine, self.path.cosine], axis=(0, 1))
+
+    @property
     def label(self) -> str:
         """What the motion is, in words."""
-        moved = np.flatnonzero(self.amplitudes.any(axis=0))
-        who = "all joints" if len(moved) == self.amplitudes.shape[1] else ", ".join(f"joint {j + 1}" for j in moved)
+        who = "all joints" if self.moves.all() else ", ".join(f"joint {j + 1}" for j in np.flatnonzero(self.moves))
         return f"{who} {self.pace.label}"
-
-    def _path(self, s: np.ndarray, derivative: int) -> np.ndarray:
-        """The path less its centre, or a derivative, at parameters (N,) -> (N, n)."""
-        omega = 2.0 * np.pi * self.fundamental * np.arange(1, len(self.amplitudes) + 1)
-        angle = s[:, None, None] * omega[:, None] + self.phases + derivative * np.pi / 2
-        return np.sum(omega[:, None] ** derivative * self.amplitudes * np.sin(angle), axis=1)
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions, velocities and accelerations (N, n) each."""
         s, rate, change = (x[:, None] for x in self.pace.at(times))
-        first, second = self._path(s[:, 0], 1), self._path(s[:, 0], 2)
-        return self.centre + self._path(s[:, 0], 0), first * rate, second * rate**2 + first * change
+        positions, first, second = self.path.at(s[:, 0])
+        return positions, first * rate, second * rate**2 + first * change
 
     def trajectory(self, name: str, rate: float) -> Trajectory:
         """Sample the motion, so many times a second."""
@@ -133,7 +127,8 @@ def within_limits(motion: Planned, limits: Limits, share: float = 1.0) -> Planne
     """
     times = np.linspace(0.0, motion.duration, int(_CHECKED * motion.duration) + 1)
     for _ in range(_TRIALS):
-        q, v, _ = replace(motion, centre=np.zeros(len(motion.centre))).at(times)
+        path, (q, v, _) = motion.path, motion.at(times)
+        q = q - path.centre
         span, peak = np.ptp(q, axis=0), np.abs(v).max(axis=0)
         room = np.minimum(
             _GUARD * 2.0 * limits.reach / np.maximum(span, 1e-9), _GUARD * share * limits.speed / np.maximum(peak, 1e-9)
@@ -141,13 +136,14 @@ def within_limits(motion: Planned, limits: Limits, share: float = 1.0) -> Planne
         scale = np.minimum(room, 1.0)
         least, most = limits.lower - scale * q.min(axis=0), limits.upper - scale * q.max(axis=0)
         edge = 0.5 * (1.0 - _GUARD) * np.minimum(scale * span, most - least)
-        motion = replace(motion, amplitudes=scale * motion.amplitudes, centre=np.clip(motion.centre, least + edge, most - edge))
+        path = replace(path.scaled(scale), centre=np.clip(path.centre, least + edge, most - edge))
+        motion = replace(motion, path=path)
         _, _, *forced = limits.ratios(motion.at(times))
         near = forced.pop() if limits.clearance is not None else np.zeros(1)
         if max(float(np.abs(r).max(initial=0.0)) for r in forced) > _GUARD:
-            motion = replace(motion, fundamental=_SLOWER * motion.fundamental)
+            motion = replace(motion, path=replace(path, period=path.period / _SLOWER))
         elif float(near.max(initial=0.0)) > 1.0:
-            motion = replace(motion, amplitudes=_SMALLER * motion.amplitudes)
+            motion = replace(motion, path=path.scaled(_SMALLER))
         else:
             return motion
     return None
@@ -168,7 +164,9 @@ def pool(limits: Limits, duration: float, count: int, seed: int) -> Iterator[Pla
         pace = ways[0] if k % 4 < 2 else ways[1 + (k // 4) % (len(ways) - 1)]
         frequency = float(np.exp(rng.uniform(np.log(1.0 / duration), np.log(0.5))))
         centre = np.where(moving, rng.uniform(limits.lower, limits.upper), limits.middle)
-        motion = Planned(centre, amplitudes, rng.uniform(0, 2 * np.pi, (harmonics, n)), frequency, pace, duration)
+        phases = rng.uniform(0, 2 * np.pi, (harmonics, n))
+        path = FourierSeries(1.0 / frequency, centre, amplitudes * np.cos(phases), amplitudes * np.sin(phases))
+        motion = Planned(path, pace, duration)
         share = 1.0 if k % 2 == 0 else float(rng.uniform(0.2, 1.0))
         if (fitted := within_limits(motion, limits, share)) is not None:
             yield fitted
@@ -183,15 +181,13 @@ def prolonged(motion: Planned) -> Planned:
 
 def varied(motion: Planned, limits: Limits, size: float, rng: np.random.Generator) -> Planned | None:
     """A motion near another within limits, or None; ``size`` is the relative change of amplitudes and frequency."""
-    shape = motion.amplitudes.shape
-    changed = replace(
-        motion,
-        amplitudes=motion.amplitudes * np.exp(size * rng.normal(size=shape)) * np.exp(size * rng.normal(size=shape[1])),
-        phases=motion.phases + size * rng.normal(size=shape),
-        centre=motion.centre + 0.6 * size * limits.reach * rng.normal(size=shape[1]) * motion.amplitudes.any(axis=0),
-        fundamental=motion.fundamental * float(np.exp(0.5 * size * rng.normal())),
-    )
-    return within_limits(changed, limits)
+    path, shape = motion.path, motion.path.sine.shape
+    larger = np.exp(size * rng.normal(size=shape)) * np.exp(size * rng.normal(size=shape[1]))
+    # A sin(x + phase): of the complex amplitude, sine and cosine are the real and the imaginary part.
+    terms = (path.sine + 1j * path.cosine) * larger * np.exp(1j * size * rng.normal(size=shape))
+    centre = path.centre + 0.6 * size * limits.reach * rng.normal(size=shape[1]) * motion.moves
+    period = path.period / float(np.exp(0.5 * size * rng.normal()))
+    return within_limits(replace(motion, path=FourierSeries(period, centre, terms.real, terms.imag)), limits)
 
 
 #: What a planned motion is called.
