@@ -172,7 +172,7 @@ def _document(imported: ImportedRecording) -> dict[str, Any]:
     recording = imported.recording
     return {
         "motion": imported.name, "files": list(imported.files),
-        "start": date(recording.start), "rows_of": recording.joined.base.name,
+        "start": date(recording.start), "rows_of": recording.base.name,
         "signals": [_signal(s) for s in recording.signals], "done": list(recording.done),
         "delays": [
             {"late": d.late, "against": d.against, "value_s": d.value, "std_s": d.std, "method": d.method}

@@ -28,7 +28,7 @@ from bayesid.results.imported import Delay, Imported, ImportedRecording
 from bayesid.robot.robot import load_robot
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
 from bayesid.signals.smoothing import smooth
-from bayesid.validation.mistakes.delay import delay_profile
+from bayesid.validation.mistakes.shifts import delay_profile
 
 _Paths = str | Path | Sequence[str | Path]
 _COURSE = 10.0  # bandwidth of the positions that other topics are compared with [Hz]

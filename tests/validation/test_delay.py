@@ -12,7 +12,7 @@ import pytest
 import bayesid
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment
 from bayesid.recordings.table import Table
-from bayesid.validation.mistakes.delay import Profile, delay_profile, delayed
+from bayesid.validation.mistakes.shifts import Profile, delay_profile, delayed
 from tests.malformed import DATA, FOLDERS
 from tests.simulated import experiment, fourier, puma2, recording
 

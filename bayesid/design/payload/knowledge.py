@@ -88,14 +88,11 @@ def weighed_alone(experiment: Experiment, channel: str) -> int | None:
 
 def from_sensor(problem: Problem, estimate: Estimate, body: int) -> BodyKnowledge:
     """What a fit to the wrench of a sensor says of the one body that it carries, in that body's frame."""
-    base = estimate.base
-    shown = ~estimate.undetermined[: base.rank]
-    matrix = base.matrix[:, 10 * body : 10 * body + 10][shown]
-    known = estimate.stated_covariance()[: base.rank, : base.rank]
+    rank, own = estimate.base.rank, estimate.base.matrix[:, 10 * body : 10 * body + 10]
     if has_valley(problem):
-        own = base.matrix[:, 10 * body : 10 * body + 10]
         return BodyKnowledge.of(own, *along_mass(problem, estimate, np.linalg.pinv(own)[0]))
-    return BodyKnowledge.of(matrix, estimate.values[shown], known[np.ix_(shown, shown)])
+    shown = np.flatnonzero(~estimate.undetermined[:rank])
+    return BodyKnowledge.of(own[shown], estimate.values[shown], estimate.stated_covariance()[np.ix_(shown, shown)])
 
 
 def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float) -> tuple[BodyKnowledge, float]:

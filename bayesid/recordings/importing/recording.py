@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -144,19 +143,11 @@ def _called_as(stream: Stream, file: str) -> bool:
     return all(column == file or column.startswith(f"{file}[") for column in stream.columns)
 
 
-@dataclass(frozen=True, eq=False)
-class Joined:
-    """Everything of a recording at common times."""
-
-    times: np.ndarray  # (N,) [s]
-    values: dict[str, np.ndarray]  # (N, k) by quantity, in the order of the signals' columns
-    ours: dict[str, tuple[str, ...]]  # names of the columns (k,) by quantity
-    base: Signal  # the signal whose times these are
-    how: tuple[str, ...]  # what was done to each other signal, one line each; empty where nothing was
-
-
-def join(signals: Sequence[Signal], source: str) -> Joined:
+def join(signals: Sequence[Signal], source: str) -> tuple[np.ndarray, dict[str, np.ndarray], Signal, list[str]]:
     """Bring all signals to the times of the slowest of positions and readings; what shares those times stays as it is.
+
+    Returned are these times (N,) [s], values (N,) by column, the signal whose times these are, and what was done to each other
+    one, one line each.
 
     Others are interpolated by cubic splines, readings of a faster topic averaged over a row's step. Nothing is filled in across
     a gap or beyond an end: such rows are left out, or velocities and commands where these would cost most rows. An `InputError`
@@ -168,8 +159,7 @@ def join(signals: Sequence[Signal], source: str) -> Joined:
     slowest = max(s.step for s in candidates)
     base = next(s for s in sorted(candidates, key=lambda s: s.quantity not in _READINGS) if s.step * _ALIKE >= slowest)
     inside = np.ones(len(base.times), bool)
-    columns: dict[str, list[np.ndarray]] = {}
-    ours: dict[str, tuple[str, ...]] = {}
+    columns: dict[str, np.ndarray] = {}
     how = []
     for signal in signals:
         if np.array_equal(signal.times, base.times, equal_nan=True):
@@ -181,8 +171,7 @@ def join(signals: Sequence[Signal], source: str) -> Joined:
                 continue
             inside &= there
             how.append(text)
-        columns.setdefault(signal.quantity, []).append(values)
-        ours[signal.quantity] = (*ours.get(signal.quantity, ()), *signal.ours)
+        columns |= zip(signal.ours, values.T, strict=True)
     if not inside.any():
         spans = "; ".join(f"{s.called} from {s.times[0]:.6g} to {s.times[-1]:.6g} s" for s in signals)
         remedy = f"are they on different clocks? try {argument('clock', 'log')}"
@@ -190,8 +179,7 @@ def join(signals: Sequence[Signal], source: str) -> Joined:
     left = int(len(inside) - inside.sum())
     if left:
         how.append(f"{left} of {len(inside)} rows are left out, in which a topic has a gap, has not begun or has ended")
-    values = {quantity: np.column_stack(parts)[inside] for quantity, parts in columns.items()}
-    return Joined(base.times[inside], values, ours, base, tuple(how))
+    return base.times[inside], {name: values[inside] for name, values in columns.items()}, base, how
 
 
 def _brought(signal: Signal, base: Signal) -> tuple[np.ndarray, np.ndarray, str]:
@@ -237,7 +225,10 @@ class Recording:
     layout: Layout  # which columns are used
     clocks: tuple[tuple[Stream, RowTimes], ...]  # of the streams that are used
     signals: tuple[Signal, ...]  # each quantity in SI units, at its own times
-    joined: Joined  # all of them at common times
+    #: All of them at common times (N,) [s]: values (N,) by our names of columns, and the signal whose times these are.
+    times: np.ndarray
+    columns: dict[str, np.ndarray]
+    base: Signal
     done: tuple[str, ...]  # what was done and noticed, one line each
     resting: Mapping[str, tuple[float, float]]  # of joints that are not used, where they stand and how far they move [rad or m]
 
@@ -262,17 +253,16 @@ class Recording:
 
     def table(self, name: str, wrench: bool = True) -> Table:
         """The recording as a table that messages call ``name``, with or without the wrench."""
-        n, values, ours = len(self.layout.joints), self.joined.values, self.joined.ours
-        arrays: dict[str, Any] = {}
+        columns, arrays = self.columns, {}
+        none = np.full(len(self.times), np.nan)
         for field, quantity in JOINT_GROUPS.items():
-            if quantity in values:
-                every = np.full((len(self.joined.times), n), np.nan)
-                every[:, [int(column.removeprefix(quantity)) - 1 for column in ours[quantity]]] = values[quantity]
-                if quantity in ("q", "tau") or len(ours[quantity]) == n:
-                    arrays[field] = every
-        if wrench and set(ours.get("wrench", ())) == set(WRENCH_COLUMNS):
-            arrays["wrench"] = values["wrench"][:, [ours["wrench"].index(axis) for axis in WRENCH_COLUMNS]]
-        return Table(times=self.joined.times, **arrays, source=name)
+            names = [f"{quantity}{k + 1}" for k in range(len(self.layout.joints))]
+            there = [column in columns for column in names]
+            if all(there) or (quantity in ("q", "tau") and any(there)):
+                arrays[field] = np.column_stack([columns.get(column, none) for column in names])
+        if wrench and all(axis in columns for axis in WRENCH_COLUMNS):
+            arrays["wrench"] = np.column_stack([columns[axis] for axis in WRENCH_COLUMNS])
+        return Table(times=self.times, **arrays, source=name)
 
 
 def make_recording(
@@ -325,7 +315,7 @@ def make_recording(
         first = min(one.start + int(np.nanmin(one.times) * 1e9) for _, one in clocks if one.start is not None)
         clocks = [(stream, one.since(first)) for stream, one in clocks]
     signals, notes = make_signals(layout, clocks, stated, source.name, not poses, sliding)
-    joined = join(signals, source.name)
+    common, columns, base, how = join(signals, source.name)
     done = [*source.notes, *(text for _, one in clocks for text in one.notes), *notes]
     if len({one.kind for _, one in clocks}) > 1:
         kinds = ", ".join(f"{stream.name} by {one.text}" for stream, one in clocks)
@@ -338,14 +328,14 @@ def make_recording(
                 f"{signal.called}: each sample is repeated for {signal.held:.3g} rows; the true rate is {rate:.4g} Hz, and only "
                 "the rows in which it changes are used"
             )
-    done += [f"rows are at the times of {joined.base.called}"] if joined.how else []
+    done += [f"rows are at the times of {base.called}"] if how else []
     others = [joint for joint in moving if joint not in layout.joints and joint not in locked]
     try:
         found = positions_of(source.streams, stated, others, source.name) if others else {}
         stand = {name: at for name, one in found.items() if (at := resting(one, stated, name, source.name, sliding)) is not None}
     except InputError as error:
         raise InputError(f"{error}; a joint that is not used may be locked ({argument('locked')} {others[0]}=...)") from None
-    return Recording(source, layout, tuple(clocks), tuple(signals), joined, (*done, *joined.how), stand)
+    return Recording(source, layout, tuple(clocks), tuple(signals), common, columns, base, (*done, *how), stand)
 
 
 def read_stated(

@@ -281,11 +281,7 @@ class Explainer:
         else the change does to them.
         """
         design = self._design(change)
-        if change.weight_added:
-            return _alone(design, self._target(change))
-        if design.alone is None:
-            design.alone = _alone(design, self.samples.readings)
-        return design.alone
+        return design.left_alone(self._target(change)) if change.weight_added else design.alone
 
     def alone_by_nominal(self, change: Change) -> np.ndarray:
         """The same by nominal bodies (usual ones where the URDF has no masses), of any size and sign in each column (c, c)."""
@@ -386,7 +382,7 @@ class Explainer:
             rows = list(change.weightless)
             rigid[:, rows] = kernel.dynamics(*motion, gravity=False)[:, rows]
         beside = columns_beside(self.channels, motion[1], motion[2], s.motion)
-        self._designs[key] = Design(np.concatenate([rigid, beside], axis=2))
+        self._designs[key] = Design(np.concatenate([rigid, beside], axis=2), s.readings)
         return self._designs[key]
 
     def _log_likelihood(self, left: np.ndarray) -> float:
@@ -409,18 +405,36 @@ def independent_samples(residual: np.ndarray, part: np.ndarray) -> float:
     return float(np.median(counts))
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Design:
-    """Columns of all parameters (N, c, p), and what follows from them."""
+    """Columns of all parameters, and what follows from them."""
 
-    columns: np.ndarray  # readings of each parameter of one
-    #: What each column of the table leaves, by itself, as the reading of each channel (c, c); None: not asked for.
-    alone: np.ndarray | None = None
+    columns: np.ndarray  # readings of each parameter of one (N, c, p)
+    readings: np.ndarray  # as recorded (N, c)
 
     @cached_property
     def squares(self) -> np.ndarray:
         """Products of columns by channel (c, p, p)."""
         return _squares(self.columns)
+
+    @cached_property
+    def alone(self) -> np.ndarray:
+        """What each column of the table leaves, by itself, as the reading of each channel (c, c)."""
+        return self.left_alone(self.readings)
+
+    def left_alone(self, readings: np.ndarray) -> np.ndarray:
+        """Least-squares residual of each column of readings (N, c) by the columns of each channel, rms (column, channel)."""
+        columns, squares = self.columns, self.squares
+        out, power = np.empty((readings.shape[1], columns.shape[1])), np.mean(readings**2, axis=0)
+        for j in range(columns.shape[1]):
+            size = np.sqrt(np.diag(squares[j]))
+            seen = size > 1e-9 * size.max()
+            scaled = squares[j][np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
+            root = cholesky(scaled + _HARDLY_ANY * np.eye(len(scaled)))
+            products = (columns[:, j, seen] / size[seen]).T @ readings
+            explained = np.sum(products * cho_solve((root, False), products), axis=0) / len(readings)
+            out[:, j] = np.sqrt(np.maximum(power - explained, 0.0))
+        return out
 
 
 def rms(residual: np.ndarray) -> np.ndarray:
@@ -430,21 +444,6 @@ def rms(residual: np.ndarray) -> np.ndarray:
 
 def _squares(columns: np.ndarray) -> np.ndarray:
     return np.array([columns[:, c].T @ columns[:, c] for c in range(columns.shape[1])])
-
-
-def _alone(design: Design, readings: np.ndarray) -> np.ndarray:
-    """Least-squares residual of each column of readings (N, c) by the columns of each channel, rms (column, channel)."""
-    columns, squares = design.columns, design.squares
-    out, power = np.empty((readings.shape[1], columns.shape[1])), np.mean(readings**2, axis=0)
-    for j in range(columns.shape[1]):
-        size = np.sqrt(np.diag(squares[j]))
-        seen = size > 1e-9 * size.max()
-        scaled = squares[j][np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
-        root = cholesky(scaled + _HARDLY_ANY * np.eye(len(scaled)))
-        products = (columns[:, j, seen] / size[seen]).T @ readings
-        explained = np.sum(products * cho_solve((root, False), products), axis=0) / len(readings)
-        out[:, j] = np.sqrt(np.maximum(power - explained, 0.0))
-    return out
 
 
 def _non_negative(squares: np.ndarray, products: np.ndarray, ridge: float) -> np.ndarray:

@@ -13,7 +13,6 @@ from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import make_channels
 from bayesid.robot.robot import Robot
 from bayesid.validation.mistakes.candidates import Candidate, Mistake, candidates, link_placement, signs
-from bayesid.validation.mistakes.delay import delayed
 from bayesid.validation.mistakes.evidence import (
     AS_RECORDED,
     EXPLAINED,
@@ -25,7 +24,7 @@ from bayesid.validation.mistakes.evidence import (
 )
 from bayesid.validation.mistakes.from_data import by_joint, implausible_size, orders, other_zeros, tilted, weight_carried
 from bayesid.validation.mistakes.samples import low_passed
-from bayesid.validation.mistakes.zero import zeros_moved
+from bayesid.validation.mistakes.shifts import delayed, zeros_moved
 
 _LISTED = 3
 #: A link that is this far away in one of two poses is told from the other by eye [m].
@@ -193,7 +192,7 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
     low-passed samples; one is named where the data become far more probable by it, and are explained by it. Where they only
     become more probable, ``not_explained`` says so, without a remedy. Nothing is guessed where a finding about the recording
     explains its readings (`bayesid.recordings.complaints`), nor what is less probable than that they are late against the
-    motion (`bayesid.validation.mistakes.delay`).
+    motion (`bayesid.validation.mistakes.shifts`).
     """
     found: list[Mistake] = []
     explained = {channel for finding in experiment.findings for channel in finding.silences}

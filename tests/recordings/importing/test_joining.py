@@ -30,22 +30,22 @@ def signal(quantity: str, rate: float, start: float = 0.0, end: float = 10.0, ho
 
 def test_readings_of_a_faster_topic_are_averaged_about_each_row():
     """The mean of a sine over a step h is the sine times ``sin(w h / 2) / (w h / 2)``: without a delay."""
-    joined = join([signal("q", 50.0), signal("wrench", 1000.0, start=-0.1)], "log")
+    times, columns, *_ = join([signal("q", 50.0), signal("wrench", 1000.0, start=-0.1)], "log")
     half = 0.5 * W / 50.0
     inner = slice(1, -1)
-    exact = np.sin(W * joined.times) * np.sin(half) / half
-    np.testing.assert_allclose(joined.values["wrench"][inner, 0], exact[inner], atol=0.25 * (W * 1e-3) ** 2)
-    np.testing.assert_array_equal(joined.times, signal("q", 50.0).times[: len(joined.times)])
+    exact = np.sin(W * times) * np.sin(half) / half
+    np.testing.assert_allclose(columns["fx"][inner], exact[inner], atol=0.25 * (W * 1e-3) ** 2)
+    np.testing.assert_array_equal(times, signal("q", 50.0).times[: len(times)])
 
 
 def test_positions_of_a_faster_or_shifted_topic_are_interpolated_to_the_readings():
     """The error of a cubic spline is below ``5/384 w^4 h^4`` inside."""
     for rate, start in ((250.0, -0.0013), (100.0, 0.004)):
-        joined = join([signal("q", rate, start), signal("wrench", 100.0)], "log")
+        times, columns, *_ = join([signal("q", rate, start), signal("wrench", 100.0)], "log")
         inner = slice(20, -20)
-        left = np.abs(joined.values["q"][:, 0] - np.sin(W * joined.times))[inner]
+        left = np.abs(columns["q1"] - np.sin(W * times))[inner]
         assert left.max() < 5.0 / 384.0 * (W / rate) ** 4 * 1.1
-        np.testing.assert_array_equal(joined.values["wrench"][:, 0], np.sin(W * joined.times))
+        np.testing.assert_array_equal(columns["fx"], np.sin(W * times))
 
 
 @pytest.mark.parametrize("quantity", ["q", "qr"])
@@ -56,16 +56,17 @@ def test_angles_that_wrap_are_interpolated_as_if_they_did_not(quantity, hole):
     course = 2.5 * fast.times[:, None] + 0.3 * fast.values
     turning, wrapped = (replace(fast, values=x) for x in (course, (course + np.pi) % (2.0 * np.pi) - np.pi))
     rows = signal("wrench", 100.0, start=0.0007)
-    exact, joined = join([turning, rows], "log"), join([wrapped, rows], "log")
-    np.testing.assert_allclose(joined.values[quantity], exact.values[quantity], atol=1e-12)
-    assert "angles wrap at a full turn; unwrapped and interpolated" in joined.how[0] and "wrap" not in exact.how[0]
+    (_, exact, _, plain), (_, columns, _, how) = join([turning, rows], "log"), join([wrapped, rows], "log")
+    np.testing.assert_allclose(columns[f"{quantity}1"], exact[f"{quantity}1"], atol=1e-12)
+    assert "angles wrap at a full turn; unwrapped and interpolated" in how[0] and "wrap" not in plain[0]
 
 
 def test_nothing_is_filled_in_across_a_gap_or_beyond_an_end():
-    joined = join([signal("q", 100.0, hole=(3.0, 3.5)), signal("wrench", 100.0, start=0.0042, end=12.0)], "log")
-    assert not ((joined.times > 3.0) & (joined.times < 3.48)).any() and joined.times[-1] < 10.0
-    assert "rows are left out, in which a topic has a gap, has not begun or has ended" in joined.how[-1]
-    assert np.isfinite(joined.values["q"]).all()
+    signals = [signal("q", 100.0, hole=(3.0, 3.5)), signal("wrench", 100.0, start=0.0042, end=12.0)]
+    times, columns, _, how = join(signals, "log")
+    assert not ((times > 3.0) & (times < 3.48)).any() and times[-1] < 10.0
+    assert "rows are left out, in which a topic has a gap, has not begun or has ended" in how[-1]
+    assert np.isfinite(columns["q1"]).all()
     with pytest.raises(InputError, match="topics do not overlap in time: positions of /q from 0 to 9.99 s"):
         join([signal("q", 100.0), signal("wrench", 100.0, start=20.0, end=30.0)], "log")
 
@@ -73,10 +74,10 @@ def test_nothing_is_filled_in_across_a_gap_or_beyond_an_end():
 def test_velocities_of_few_rows_cost_no_rows():
     """Nothing is fitted to them; the rows that lack them were left out."""
     q, tau, v = signal("q", 100.0), signal("tau", 100.0), signal("v", 100.0, start=7.0)
-    joined = join([q, v, tau], "log")
-    assert len(joined.times) == len(q.times) and "v" not in joined.values
-    assert joined.how == ("velocities of /v: none at most rows; not used",)
-    assert len(join([q, signal("v", 100.0, start=3.0), tau], "log").times) == 700
+    times, columns, _, how = join([q, v, tau], "log")
+    assert len(times) == len(q.times) and "v1" not in columns
+    assert how == ["velocities of /v: none at most rows; not used"]
+    assert len(join([q, signal("v", 100.0, start=3.0), tau], "log")[0]) == 700
 
 
 @pytest.fixture(scope="module")
