@@ -108,13 +108,10 @@ def structural_base(
         q[:, still], v[:, still], a[:, still] = held[still], 0.0, 0.0
     columns = np.arange(len(robot.parameter_names)) if columns is None else columns
     rows = Kernel.of(robot, channels, columns).dynamics(q, v, a, gravity=gravity)
-    wrench = [c for c, name in enumerate(channels.names) if not name.startswith("tau")]
-    constants = np.zeros((count, len(channels), len(wrench) if offset else 0))
-    for k, c in enumerate(wrench[: constants.shape[2]]):
-        constants[:, c, k] = 1.0
+    wrench = [c for c, name in enumerate(channels.names) if offset and not name.startswith("tau")]
+    constants = np.tile(np.eye(len(channels))[:, wrench], (count, 1))
     names, units = ([every[k] for k in columns.tolist()] for every in (robot.parameter_names, robot.parameter_units))
-    flat = count * len(channels)
-    return regroup(rows.reshape(flat, -1), names, units, constants.reshape(flat, constants.shape[2]))
+    return regroup(rows.reshape(len(constants), -1), names, units, constants)
 
 
 def regroup(

@@ -325,7 +325,7 @@ def test_exact_fits_only_ever_lower_the_expectation(case, bench, planned):
     assert lower.noncentrality[0, 1] == 0.0
     gone = c.moments[0][0, 1] - lower.moments[0][0, 1]
     assert gone == pytest.approx(0.5 * c.noncentrality[0, 1] + 7.0)
-    assert c.merit(case.weights) < 0 and np.allclose(np.diag(c.pairs), 1.0)
+    assert c.merit(case.weights) < 0
 
 
 @pytest.mark.slow

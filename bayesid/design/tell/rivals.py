@@ -32,7 +32,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.special import log_ndtr, ndtr
+from scipy.special import log_ndtr
 
 from bayesid.diagnosis.candidates import Library, make_library
 from bayesid.diagnosis.data import DiagnosisData, model_rows
@@ -163,13 +163,11 @@ class Contest:
         np.fill_diagonal(out, np.inf)
         return out
 
-    @property
-    def pairs(self) -> np.ndarray:
-        """Probability that the row's rival, if it is true, rules out the column's: of a normal Delta (rivals, rivals)."""
-        return ndtr(self._distance)
-
     def merit(self, weights: np.ndarray) -> float:
-        """What is maximised: the log probabilities of `pairs`, summed; the pair that is hardest to tell counts most."""
+        """What is maximised: log probabilities that the row's rival, if true, rules out the column's, of a normal Delta, summed.
+
+        The pair that is hardest to tell counts most.
+        """
         return float(weights @ log_ndtr(self._distance).sum(axis=1))
 
     def _scores(self, true: int, seed: int) -> np.ndarray:
@@ -181,7 +179,7 @@ class Contest:
         return -lead - 0.5 * np.column_stack([np.sum((e @ inverse) * e, axis=1) for e, inverse in left])
 
     def chances(self, true: int, seed: int = 0) -> np.ndarray:
-        """Probability that the true rival rules out each other one: from draws, where `pairs` takes a normal law (rivals,)."""
+        """Probability that the true rival rules out each other one: from draws, where `merit` takes a normal law (rivals,)."""
         scores = self._scores(true, seed)
         return np.asarray(np.mean(scores[:, true : true + 1] - scores > self.needed, axis=0))
 
