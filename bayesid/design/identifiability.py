@@ -22,7 +22,7 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.linalg import condition_number, determined_inverse, undetermined
 from bayesid.regression.readings import has_readings, make_channels
 from bayesid.robot import inertia
-from bayesid.robot.prior import Prior, assumed_links, states_masses, with_sizes
+from bayesid.robot.prior import Prior, assumed_links, robot_prior, states_masses, with_sizes
 from bayesid.robot.robot import Robot
 from bayesid.simulation.trajectories import Trajectory
 
@@ -286,7 +286,7 @@ def report_of(plan: PlannedMotions, sensor_set: SensorSet, noise: ReadingNoise, 
     links = assumed_links(experiment.robot).ravel()
     spread = Prior.nominal(with_sizes(links), 2.0**0.5).covariance
     rel_std = experiment.inertia_rel_std
-    prior = Prior.warped(links, rel_std).covariance if rel_std and states_masses(experiment.robot) else None
+    prior = robot_prior(experiment.robot, rel_std).covariance if rel_std and states_masses(experiment.robot) else None
     used = {"wrench": ("wrench",), "torque": ("torque",), "both": ("wrench", "torque")}[sensor_set.channel]
     sources = {k: noise.sources[k] for k in used}
     std = dict(zip(channels.names, noise.of(sensor_set)["trajectory"].std.tolist(), strict=True))

@@ -12,7 +12,7 @@ from bayesid.effects.library import by_number
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.schema import EffectParameters, RobotSection
-from bayesid.robot.prior import states_masses
+from bayesid.robot.prior import drawn_without_inertial, states_masses
 from bayesid.robot.robot import Robot, load_robot
 from bayesid.robot.sources import NAMED, locate
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
@@ -24,7 +24,6 @@ _INSIDE = {
     "rotor_inertia": {"inertia": "armature"},
     "spring": {"stiffness": "stiffness", "rest": "springref"},
 }
-_LENGTH = 0.01  # between joints that are not at one place, as those of a wrist are [m]
 
 
 def read_robot(folder: Path, section: RobotSection, sensor_joint: str | None) -> tuple[Robot, list[str]]:
@@ -110,20 +109,13 @@ def _missing(robot: Robot, urdf: UrdfFile) -> list[str]:
     """Links without an ``<inertial>`` that have a shape or a length, in a robot whose other links have masses."""
     if not states_masses(robot):
         return []  # reported of the whole file
-    links, found = {str(link.get("name")): link for link in urdf.root.findall("link")}, []
-    for j, name in enumerate(robot.joint_names):
-        link = links[urdf.joints[name].child]
-        drawn = link.find("visual") is not None or link.find("collision") is not None
-        rods = robot.rods[robot.rod_joint == j]
-        long = robot.nominal[j, 0] == 0.0 and bool((np.linalg.norm(rods[:, 1] - rods[:, 0], axis=1) > _LENGTH).any())
-        if link.find("inertial") is None and (drawn or long):
-            found.append(str(link.get("name")))
+    found = [urdf.joints[name].child for name, bare in zip(robot.joint_names, drawn_without_inertial(robot), strict=True) if bare]
     if not found:
         return []
     one, them = (f"link {found[0]}", "it") if len(found) == 1 else (f"links {listed(found)}", "them")
     return [
-        f"{robot.urdf.name}: {one}: no <inertial>, so the nominal robot lacks the mass of {them}, and a prior takes {them} for a "
-        "gram; write the <inertial>, or leave inertia_rel_std out"
+        f"{robot.urdf.name}: {one}: no <inertial>, so the nominal robot lacks the mass of {them}, which diagnose looks for "
+        "and all other priors leave to the data; write the <inertial>"
     ]
 
 

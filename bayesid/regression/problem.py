@@ -33,7 +33,7 @@ from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, MotionRows,
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import LongSegment, Segment
-from bayesid.robot.prior import states_masses, typical_links
+from bayesid.robot.prior import assumed_links, guessed_bodies
 from bayesid.signals.filters import row_noise_poles
 from bayesid.signals.projection import ROLL_OFF
 from bayesid.signals.smoothing import Smoother, choose_smoother
@@ -411,7 +411,8 @@ def _regression(
         ),
         knowledge=PriorKnowledge(
             nominal_links=robot.nominal.ravel(),
-            guessed_links=None if states_masses(robot) else typical_links(robot).ravel(),
+            assumed_links=assumed_links(robot).ravel(),
+            guessed=tuple(guessed_bodies(robot).tolist()),
             inertia_rel_std=inertia_rel_std,
             bodies=tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(robot.body_names))),
             effect_non_negative=row_model.of_free(sign for e in row_model.effects for sign in e.non_negative),

@@ -27,17 +27,28 @@ class PriorKnowledge:
 
     #: Of the nominal model, if there is one, in the order of ``base.parameter_names`` (P,).
     nominal_links: np.ndarray | None = None
-    #: Their prior relative standard deviation, see `bayesid.robot.prior.Prior.warped`; 0: exact, None: not known.
+    #: Their prior relative standard deviation, see `bayesid.robot.prior.Prior.around`; 0: exact, None: not known.
     inertia_rel_std: float | None = None
     bodies: tuple[tuple[int, ...], ...] = ()  # columns of ``base.parameter_names`` that are a body's ten parameters
     effect_non_negative: tuple[bool, ...] = ()  # which effect parameters cannot be negative; empty: none
-    #: Where that model states no masses: about what links of these lengths weigh (P,), see `bayesid.robot.prior`.
-    guessed_links: np.ndarray | None = None
+    #: Those links, with a guess of bodies whose mass that model does not state (P,); None: it states all.
+    assumed_links: np.ndarray | None = None
+    guessed: tuple[bool, ...] = ()  # which bodies are guessed, see `bayesid.robot.prior.guessed_bodies`; empty: none
 
     @property
     def states_masses(self) -> bool:
         """Whether there is a nominal model that says anything of the bodies."""
-        return self.nominal_links is not None and self.guessed_links is None
+        return self.nominal_links is not None and not (self.guessed and all(self.guessed))
+
+    @property
+    def links(self) -> np.ndarray | None:
+        """What the links are near to before any row is read (P,)."""
+        return self.nominal_links if self.assumed_links is None else self.assumed_links
+
+    def prior(self, rel_std: float) -> Prior:
+        """The prior of the links with this relative standard deviation; there must be nominal ones."""
+        assert self.links is not None
+        return Prior.around(self.links, rel_std, np.array(self.guessed, bool))
 
 
 @dataclass(frozen=True)

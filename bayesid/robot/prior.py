@@ -14,6 +14,10 @@ from bayesid.robot.robot import Robot
 _SLENDERNESS, _DENSITY = 4.0, 1000.0
 #: Radius of the links of a robot whose joints are all at one place [m].
 _RADIUS = 0.05
+#: Length from which a link without a mass is no mere frame, as those between the joints of a wrist are [m].
+_LENGTH = 0.01
+#: A body that is guessed is known to so many times a usual one of its robot.
+GUESS_STD = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +100,33 @@ class Prior:
             size = np.sqrt(np.diag(covariance))
             precision[np.ix_(body, body)] = np.linalg.inv(covariance / np.outer(size, size)) / np.outer(size, size)
         return replace(plain, precision=precision)
+
+    @classmethod
+    def around(cls, links: np.ndarray, rel_std: float, guessed: np.ndarray) -> Prior:
+        """Links of a robot: `warped` nominal ones, and guessed ones, whose size is not known either.
+
+        A guess may be off by ten times the mean of all bodies (`nominal` about that mean), whatever ``rel_std`` is; where all
+        bodies are guesses, ``rel_std`` is theirs.
+
+        Parameters
+        ----------
+        links, rel_std
+            See `nominal`.
+        guessed
+            Which bodies are guesses (b,), see `guessed_bodies`.
+
+        Raises
+        ------
+        InputError
+            As `nominal`.
+        """
+        prior = cls.warped(links, rel_std)
+        if not np.any(guessed) or np.all(guessed):
+            return prior
+        usual = np.tile(np.reshape(links, (-1, 10)).mean(axis=0), len(guessed))
+        wide = np.repeat(guessed, 10)
+        guess = cls.nominal(usual, max(rel_std, GUESS_STD)).precision
+        return replace(prior, precision=np.where(wide[:, None] & wide, guess, prior.precision))
 
     def widened(self, factor: float) -> Prior:
         """The same with all standard deviations multiplied by a factor."""
@@ -191,6 +222,37 @@ def filled_links(robot: Robot) -> np.ndarray:
     return np.where(weightless, typical_links(robot), robot.nominal) if weightless.any() else robot.nominal
 
 
+def drawn_without_inertial(robot: Robot) -> np.ndarray:
+    """Which joints' links have a shape or a length, and no ``<inertial>`` (n,)."""
+    links = {str(link.get("name")): link for link in robot.description.root.findall("link")}
+    out = np.zeros(robot.n, bool)
+    for j, name in enumerate(robot.joint_names):
+        link = links[robot.description.joints[name].child]
+        drawn = link.find("visual") is not None or link.find("collision") is not None
+        rods = robot.rods[robot.rod_joint == j]
+        long = robot.nominal[j, 0] == 0.0 and bool((np.linalg.norm(rods[:, 1] - rods[:, 0], axis=1) > _LENGTH).any())
+        out[j] = link.find("inertial") is None and (drawn or long)
+    return out
+
+
+def guessed_bodies(robot: Robot) -> np.ndarray:
+    """Which bodies a guess stands for, as the URDF does not say what they weigh (b,): all where it states no mass at all.
+
+    Else those without a mass that have a shape or a length, and what a sensor in a fixed joint carries, as a rule a tool. Any
+    other body of mass 0 is a frame, and weighs nothing.
+    """
+    if not states_masses(robot):
+        return np.ones(len(robot.nominal), bool)
+    tool = np.ones(len(robot.nominal) - robot.n, bool)
+    return np.concatenate([drawn_without_inertial(robot), tool]) & (robot.nominal[:, 0] == 0.0)
+
+
 def assumed_links(robot: Robot) -> np.ndarray:
-    """Nominal parameters of every body (b, 10), or typical ones where the URDF states no masses."""
-    return robot.nominal if states_masses(robot) else typical_links(robot)
+    """Nominal parameters of every body (b, 10), and typical ones of `guessed_bodies`."""
+    guessed = guessed_bodies(robot)
+    return np.where(guessed[:, None], typical_links(robot), robot.nominal) if guessed.any() else robot.nominal
+
+
+def robot_prior(robot: Robot, rel_std: float) -> Prior:
+    """`Prior.around` the robot's `assumed_links`."""
+    return Prior.around(assumed_links(robot), rel_std, guessed_bodies(robot))

@@ -31,7 +31,6 @@ from bayesid.results.fitted_model import joint_dynamics
 from bayesid.results.identification import Identification
 from bayesid.results.loaded import LoadedIdentification, LoadedPosterior, load
 from bayesid.results.posterior import ExperimentPosterior, posterior_robot
-from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot, motion_limits
 from bayesid.rounding import number
 from bayesid.signals.filters import LowPass
@@ -306,11 +305,10 @@ def _known_of_loaded(
         )
     if isinstance(found, LoadedPosterior):
         prior, links, rel_std = None, None, prior_std or document["inertia_rel_std"]
-        nominal = problem.regression.knowledge.nominal_links
-        if "bodies that can exist only" in document["prior"] and rel_std and nominal is not None:
+        if "bodies that can exist only" in document["prior"] and rel_std:
             if (links := found.link_draws) is None:
                 raise KeyError("link")
-            prior = prior_links(base, Prior.warped(nominal, rel_std), PRIOR_DRAWS, seed)
+            prior = prior_links(base, problem.regression.knowledge.prior(rel_std), PRIOR_DRAWS, seed)
         method = f"{'flat' if document['prior'].startswith('flat') else 'nominal'} prior, {document['noise']} noise"
         return _known_of_draws(problem, found, method, links, prior, None, rel_std, float(document["dispersion"]), seed)
     e = found.estimate

@@ -203,7 +203,7 @@ def _prior(regression: Regression, prior: str | Prior | None, std: float | None)
         raise InputError(
             f"{argument('prior', 'nominal')}: the experiment states no inertia_rel_std above 0; add {argument('prior_std', 0.3)}"
         )
-    return Prior.warped(regression.knowledge.nominal_links, rel_std), rel_std
+    return regression.knowledge.prior(rel_std), rel_std
 
 
 def _with_predictions(

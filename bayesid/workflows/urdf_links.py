@@ -14,8 +14,7 @@ from bayesid.estimators.nonlinear import solve
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.results.fitted_model import UrdfLinks, joint_dynamics
-from bayesid.robot.prior import states_masses, typical_links
-from bayesid.robot.robot import Robot
+from bayesid.robot.prior import assumed_links, states_masses
 
 _ROTORS = "rotor_inertia"
 
@@ -29,8 +28,7 @@ def urdf_links(problem: Problem, estimate: Estimate) -> UrdfLinks:
         links = unconstrained = estimate.links
         moved, solution, near = None, estimate.solution, near
     else:
-        nominal = _with_tool(robot) if stated else typical_links(robot)
-        moved = consistent_links(problem.regression, estimate, nominal, scaled=not stated)
+        moved = consistent_links(problem.regression, estimate, assumed_links(robot), scaled=not stated)
         links, solution = moved.links, moved.solution
         unconstrained = nearest_links(robot, problem.row_model.base, estimate.values, ~estimate.undetermined[:rank])
     dynamics = joint_dynamics(problem, links, solution[rank:], ~estimate.undetermined[rank:], estimate.solution[rank:])
@@ -44,12 +42,6 @@ def urdf_links(problem: Problem, estimate: Estimate) -> UrdfLinks:
         # Joint torques hardly show masses; where they are far from the stated ones all the same, they stand for something else.
         stated_mass=float(robot.nominal[:, 0].sum()) if problem.channel == "torque" and stated else None,
     )
-
-
-def _with_tool(robot: Robot) -> np.ndarray:
-    """Nominal links (b, 10), and typical ones of what a sensor in a fixed joint carries where the URDF gives that no mass."""
-    tool = (np.arange(len(robot.nominal)) >= robot.n) & (robot.nominal[:, 0] == 0.0)
-    return np.where(tool[:, None], typical_links(robot), robot.nominal)
 
 
 def missing_rotors(

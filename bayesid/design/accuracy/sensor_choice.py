@@ -37,7 +37,7 @@ from bayesid.regression.parallel import in_order
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
-from bayesid.robot.prior import Prior, assumed_links
+from bayesid.robot.prior import robot_prior
 from bayesid.robot.robot import Robot, load_robot
 from bayesid.simulation.simulation import plant_readings
 
@@ -288,8 +288,7 @@ def _outlook(bench: Bench, candidate: CandidateSensor, rel_std: float) -> Outloo
     factor = reduce_rows(make_blocks(model, segments), lambda b: _combined(weigh, b)[:, :, :-1]).r
     expected = Expected(model.base, model.effect_names, model.effect_units, factor, factor, model)
     determined = shown(expected)
-    nominal = assumed_links(experiment.robot)
-    prior = Prior.warped(nominal, rel_std).covariance
+    prior = robot_prior(experiment.robot, rel_std).covariance
     link_std, prior_std = std_with_prior(determined.factor @ determined.base.matrix, prior)
     terms = tuple(t for t in bench.terms if any(t.effect.acts_on(c) for c in model.channels.names))
     motions = [(s, bench.smoothed(s, model)) for s in segments]

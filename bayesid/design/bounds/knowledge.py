@@ -235,11 +235,9 @@ def known_from(
         scale = held_out_scale(problem, mean, covariance, dispersion, floor) if draws is None else 1.0
         covariance = scale * covariance
         knowledge = problem.regression.knowledge
-        nominal = knowledge.guessed_links if knowledge.guessed_links is not None else knowledge.nominal_links
-        assert nominal is not None  # of an experiment there always are some
         links = consistent_draws(
             problem.row_model.base, mean, covariance, _drawn(problem, covariance), np.array(knowledge.effect_non_negative, bool),
-            Prior.warped(nominal, rel_std), count, seed,
+            knowledge.prior(rel_std), count, seed,
         )  # fmt: skip
     else:
         assert draws is not None  # links are drawn with the parameters

@@ -44,7 +44,7 @@ from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.problem import Problem, absorbed_offset, relinearised
-from bayesid.robot.prior import Prior
+from bayesid.robot.prior import Prior, assumed_links, guessed_bodies
 from bayesid.robot.robot import Robot, joint_index, load_robot
 from bayesid.rounding import HALF
 from bayesid.signals.noise import student_factor
@@ -102,10 +102,13 @@ def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float
     """
     base = estimate.base
     shown = ~estimate.undetermined[: base.rank]
-    matrix, nominal = base.matrix[shown], problem.experiment.robot.nominal
+    matrix, robot = base.matrix[shown], problem.experiment.robot
+    guessed = guessed_bodies(robot) & (rel_std > 0)
+    guessed[body] = False  # what this link holds beyond its URDF is the payload
+    links = np.where(guessed[:, None], assumed_links(robot), robot.nominal)
     noise = estimate.stated_covariance()[: base.rank, : base.rank][np.ix_(shown, shown)]
-    doubt = np.zeros_like(noise) if rel_std == 0 else matrix @ Prior.warped(nominal, rel_std).covariance @ matrix.T
-    own, values = matrix[:, 10 * body : 10 * body + 10], estimate.values[shown] - matrix @ nominal.ravel()
+    doubt = np.zeros_like(noise) if rel_std == 0 else matrix @ Prior.around(links, rel_std, guessed).covariance @ matrix.T
+    own, values = matrix[:, 10 * body : 10 * body + 10], estimate.values[shown] - matrix @ links.ravel()
     known = BodyKnowledge.of(own, values, noise + doubt)
     exact = BodyKnowledge.of(own, values, noise)
     return known, float(1.0 - min(exact.covariance[0, 0] / known.covariance[0, 0], 1.0))

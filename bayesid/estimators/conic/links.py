@@ -13,6 +13,7 @@ describes: the nominal links then fill what the data leave open, by the pull-bac
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +27,7 @@ from bayesid.estimators.prior_check import Evidence, PriorCheck, compared
 from bayesid.regression.linalg import column_lengths, undetermined
 from bayesid.regression.regression import Regression, checked_bodies
 from bayesid.robot import inertia
-from bayesid.robot.prior import Prior
+from bayesid.robot.prior import GUESS_STD, Prior
 
 (_FACTORISE,) = get_lapack_funcs(("potrf",), dtype="d")
 
@@ -89,7 +90,6 @@ _DESCRIBES = 1.0
 _NOMINAL = 20.0
 #: Without any nominal model: spheres of 1 kg with a radius of gyration of 0.1 m, known within a factor of ten.
 _TYPICAL = np.array([1.0, 0, 0, 0, 0.02, 0, 0.02, 0, 0, 0.02])
-_TYPICAL_STD = 10.0
 
 
 @dataclass(frozen=True)
@@ -150,23 +150,24 @@ def link_prior(
             check = compared(regression.base, evidence, mean, root)
             return LinkPrior(mean, root, _references(mean, data.bodies), metric, None, True, "the prior's precision", check)
     elif known.states_masses:
-        mean = known.nominal_links
+        mean = known.links
         assert mean is not None
     else:
-        rel_std = _TYPICAL_STD if rel_std is None else rel_std
-        mean = np.zeros(data.size) if known.guessed_links is None else known.guessed_links
-        for body in data.bodies if known.guessed_links is None else ():
+        rel_std = GUESS_STD if rel_std is None else rel_std
+        mean = np.zeros(data.size) if known.links is None else known.links
+        for body in data.bodies if known.links is None else ():
             mean[list(body)] = _TYPICAL
+    guessed = known.guessed if prior is None and known.states_masses else ()
     stated = known.inertia_rel_std if rel_std is None and prior is None else rel_std
     # Exactly known links leave nothing to estimate: whoever asks for an estimate does not take them for exact.
     found = stated is None or stated == 0
 
     def checked(std: float) -> tuple[np.ndarray, PriorCheck | None]:
-        root = _scaled_root(mean, data.bodies, metric, std)
+        root = _scaled_root(mean, data.bodies, metric, std, guessed)
         return root, compared(regression.base, evidence, mean, root, std, stated=not found)
 
     if found:
-        std, end = _most_probable(data, mean, metric)
+        std, end = _most_probable(data, mean, metric, guessed)
         root, check = checked(std)
         rule = "the value that makes the data most probable"
         if end is not None:
@@ -183,8 +184,8 @@ def link_prior(
         std, rule, end = float(stated), "as stated", None
         root, check = checked(std)
     if prior is None and not known.states_masses:
-        guess = "bodies of about 1 kg and 0.1 m" if known.guessed_links is None else "cylinders of water between the joints"
-        why = "no nominal model" if known.guessed_links is None else "the URDF states no masses"
+        guess = "bodies of about 1 kg and 0.1 m" if known.links is None else "cylinders of water between the joints"
+        why = "no nominal model" if known.links is None else "the URDF states no masses"
         rule = f"{why}: {guess}, within a factor of ten"
     return LinkPrior(mean, root, _references(mean, data.bodies), metric, std, not found, rule, check, end)
 
@@ -200,22 +201,25 @@ def _references(mean: np.ndarray, bodies) -> np.ndarray:
     return np.array([inertia.solid(mean[list(body)]) for body in bodies])
 
 
-def _scaled_root(mean: np.ndarray, bodies, metric: str, std: float) -> np.ndarray:
-    """Root of the precision at a relative standard deviation (10 b, P)."""
+def _scaled_root(mean: np.ndarray, bodies, metric: str, rel_std: float, guessed: Sequence[bool] = ()) -> np.ndarray:
+    """Root of the precision at a relative standard deviation (10 b, P); of bodies that are guessed see `Prior.around`."""
     size = np.sqrt(np.mean(mean**2)) if mean.any() else 1.0
     rows = np.zeros((10 * len(bodies), len(mean)))
     for k, body in enumerate(bodies):
         part = slice(10 * k, 10 * k + 10)
+        near, std = mean[list(body)], rel_std
+        if guessed and guessed[k]:
+            near, std = mean[np.array(bodies)].mean(axis=0), max(rel_std, GUESS_STD)
         if metric == "euclidean":
             rows[part, list(body)] = np.eye(10) / size / std
         else:
             # A share above one is no change of a shape any more: what is left is to fill what data leave open, evenly.
             like = Prior.warped if metric == "warped" and std <= _DESCRIBES else Prior.nominal
-            rows[part, list(body)] = like(mean[list(body)], std).root
+            rows[part, list(body)] = like(near, std).root
     return rows
 
 
-def _most_probable(data: LinkData, mean: np.ndarray, metric: str) -> tuple[float, str | None]:
+def _most_probable(data: LinkData, mean: np.ndarray, metric: str, guessed: Sequence[bool]) -> tuple[float, str | None]:
     """Maximiser of the probability of the data over s, by a grid and a search in between, and the end where it lies.
 
     What the prior says nothing about, effects and free columns, is projected out.
@@ -230,7 +234,7 @@ def _most_probable(data: LinkData, mean: np.ndarray, metric: str) -> tuple[float
 
     def cost(log_std: float) -> float:
         # phi - phi0 = W^-1 n with n standard normal; W has full rank in the known columns.
-        root = _scaled_root(mean, data.bodies, metric, float(np.exp(log_std)))[:, known]
+        root = _scaled_root(mean, data.bodies, metric, float(np.exp(log_std)), guessed)[:, known]
         spread = np.linalg.lstsq(root.T, matrix, rcond=None)[0]
         lower = cholesky(np.eye(len(y)) + spread.T @ spread, lower=True)
         return float(2.0 * np.sum(np.log(np.diag(lower))) + np.sum(solve_triangular(lower, y, lower=True) ** 2))

@@ -421,7 +421,7 @@ def against_nominal(regression: Regression, estimate: Estimate) -> PriorCheck | 
         return details.prior.check
     if known.nominal_links is None or not known.inertia_rel_std:
         return None
-    prior, covariance = Prior.warped(known.nominal_links, known.inertia_rel_std), estimate.covariance
+    prior, covariance = known.prior(known.inertia_rel_std), estimate.covariance
     evidence = _evidence_of_data(regression) if covariance is None else (estimate.values, covariance, estimate.undetermined)
     return compared(regression.base, evidence, prior.mean, prior.root, known.inertia_rel_std)
 
