@@ -251,15 +251,17 @@ def _beside_nominal(asked: _Asked, joint: str | None, rel_std: float) -> _Found:
     fits = (found.first, found.best, *found.rivals)
     plain, known, *others = (from_nominal(f.problem, f.estimate, body, rel_std)[0] for f in fits)
     share = from_nominal(found.best.problem, found.best.estimate, body, rel_std)[1]
-    says = (
-        f"The answer depends on the nominal model: {percent(share, 2)} of the mass's variance is its. A recording without the "
-        f"payload ({argument('reference')}) does without it."
-        if share > 0.5
-        else f"The nominal model contributes {percent(share, 2)} of the mass's variance."
-    )
+    says = []
+    if share is not None and share > 0.5:
+        says = [
+            f"The answer depends on the nominal model: {percent(share, 2)} of the mass's variance is its. "
+            f"A recording without the payload ({argument('reference')}) does without it."
+        ]
+    elif share is not None:
+        says = [f"The nominal model contributes {percent(share, 2)} of the mass's variance."]
     return _Found(
         body, known, plain, of_any_motion(found.best.problem, body), tuple(others), found.effects, found.verdict, share=share,
-        sentences=(says, *_beside(found.effects, plain)),
+        sentences=(*says, *_beside(found.effects, plain)),
         warnings=(*_notes(found, plain, known), *contradictions(found.first.agreements)),
     )  # fmt: skip
 

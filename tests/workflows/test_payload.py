@@ -438,6 +438,22 @@ def test_a_trusted_nominal_model_does_in_place_of_a_reference(tmp_path, trust):
     assert "record longer" not in str(doubted)
 
 
+def test_a_link_without_inertial_may_hold_the_payloads_mass(tmp_path):
+    """Torques show the sum of both masses alone, and nothing is said of a share of what is not shown."""
+    full = bayesid.load_robot(write(tmp_path, puma560()))
+    bare = write(tmp_path, re.sub(r'(<link name="link3">)\s*<inertial>.*?</inertial>', r"\1", puma560(), flags=re.DOTALL))
+    path = [bayesid.fourier_trajectory(full, duration=8.0, seed=1)]
+    recorder = bayesid.Recorder(drive_std=0.0005, resolution=1e-5)
+    simulation = bayesid.simulate(experiment(full, []), path, recorder=recorder, seed=2)
+    result = bayesid.payload(
+        replace(simulation, robot=bayesid.load_robot(bare), inertia_rel_std=0.05), effects="payload@joint3", diagnosis=False
+    )
+    assert not result.mass.shown and result.nominal_share is None and "nominal model contributes" not in str(result)
+    # A first moment about the last link's own axis is nobody else's: no payload, none seen.
+    mcx = result.first_moment[0]
+    assert mcx.shown and mcx.low < 0.0 < mcx.high
+
+
 def test_what_cannot_be_told_is_refused_in_one_line(tmp_path, wrist):
     robot = puma2(tmp_path)
     torques = bayesid.simulate(experiment(robot, []), [bayesid.fourier_trajectory(robot, duration=4.0)], seed=1)

@@ -95,10 +95,11 @@ def from_sensor(problem: Problem, estimate: Estimate, body: int) -> BodyKnowledg
     return BodyKnowledge.of(own[shown], estimate.values[shown], estimate.stated_covariance()[np.ix_(shown, shown)])
 
 
-def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float) -> tuple[BodyKnowledge, float]:
+def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float) -> tuple[BodyKnowledge, float | None]:
     """What a fit says of a payload beside nominal links, and the share of the mass's variance that these contribute.
 
-    ``rel_std`` is the prior relative standard deviation of the nominal links; 0: they are exact.
+    None where the data do not show the mass. ``rel_std`` is the prior relative standard deviation of the nominal links; 0: they
+    are exact.
     """
     base = estimate.base
     shown = ~estimate.undetermined[: base.rank]
@@ -111,6 +112,8 @@ def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float
     own, values = matrix[:, 10 * body : 10 * body + 10], estimate.values[shown] - matrix @ links.ravel()
     known = BodyKnowledge.of(own, values, noise + doubt)
     exact = BodyKnowledge.of(own, values, noise)
+    if not known.shown[0]:
+        return known, None
     return known, float(1.0 - min(exact.covariance[0, 0] / known.covariance[0, 0], 1.0))
 
 
