@@ -17,13 +17,14 @@ from bayesid.effects.families import SensorEffect
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed
 from bayesid.results.export.identified import FoundEffect, IdentifiedRobot, draws_of, randomisation
-from bayesid.results.export.inverse_dynamics import InverseDynamics, cpp_header, inverse_dynamics, numpy_module
-from bayesid.results.export.simulators import HELD_BY_SDF, JointConstants, held_by_mujoco, joint_constants, mjcf, sdf
+from bayesid.results.export.inverse_dynamics import inverse_dynamics, source_code
+from bayesid.results.export.simulators import HELD_BY_SDF, held_by_mujoco, joint_constants, mjcf, sdf
 from bayesid.results.exported import Exported
 from bayesid.results.fitted_model import robot_of
 from bayesid.results.identification import Identification
 from bayesid.results.loaded import Loaded, LoadedIdentification, LoadedPosterior, load
 from bayesid.results.posterior import ExperimentPosterior
+from bayesid.robot.robot import Robot
 from bayesid.robot.urdf import JointDynamics, urdf_text
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 
@@ -92,7 +93,7 @@ def export(
         FORMS[form](found, made)
     if draws:
         clock("draws")
-        _draw(found, [form for form in ("mjcf", "urdf") if form in forms], draws, seed, made)
+        _draw(found, forms, draws, seed, made)
     exported = Exported(
         found.name, found.method, found.channel, tuple(dict.fromkeys(forms)), made.texts, made.about, made.left_out,
         tuple(dict.fromkeys(made.warnings)),
@@ -141,12 +142,9 @@ def _about(result: Identification | ExperimentPosterior | LoadedIdentification |
         readings = result.problem.row_model.channels.names
         name, robot, locked = experiment.name, experiment.robot, dict(experiment.locked)
     found = tuple(
-        FoundEffect(
-            e["name"], e["where"], {key: float(p["value"]) for key, p in e["parameters"].items()},
-            {key: str(p["unit"]) for key, p in e["parameters"].items()},
-        )
+        FoundEffect(e["name"], e["where"], {key: (float(p["value"]), str(p["unit"])) for key, p in e["parameters"].items()})
         for e in effects
-    )  # fmt: skip
+    )
     return {"name": name, "channel": channel, "readings": readings, "robot": robot, "locked": locked, "effects": found}
 
 
@@ -172,32 +170,17 @@ def _of_draws(result: ExperimentPosterior | LoadedPosterior) -> IdentifiedRobot:
 # ---- forms --------------------------------------------------------------------------------------------------------
 
 
-def _links(found: IdentifiedRobot, form: str) -> np.ndarray:
+def _add_model(
+    form: str, file: str, what: str, written: Callable[[Robot, Mapping[str, float], np.ndarray, JointDynamics], str],
+    holds: Callable[[], tuple[str, ...]], found: IdentifiedRobot, made: _Making,
+) -> None:  # fmt: skip
+    """The file of a form, and what it has no place for: negative constants, and effects beside it."""
     if found.links is None:
         raise InputError(f"{argument('to', form)}: needs links, and a posterior with a flat prior has none; take prior nominal")
-    return found.links
-
-
-def _mjcf(found: IdentifiedRobot, made: _Making) -> None:
-    links, dynamics = _links(found, "mjcf"), found.joint_dynamics()
-    text, constants = mjcf(found.robot, found.locked, links, dynamics), joint_constants(found.robot, dynamics, held_by_mujoco())
-    _add_model("mjcf", "identified.xml", text, ", mass matrix and bias forces as Pinocchio's", constants, made)
-
-
-def _urdf(found: IdentifiedRobot, made: _Making) -> None:
-    links, dynamics = _links(found, "urdf"), found.joint_dynamics()
-    _add_model("urdf", "identified.urdf", urdf_text(found.robot, links, dynamics), "", dynamics, made)
-
-
-def _sdf(found: IdentifiedRobot, made: _Making) -> None:
-    links, dynamics = _links(found, "sdf"), found.joint_dynamics()
-    text, constants = sdf(found.robot, found.locked, links, dynamics), joint_constants(found.robot, dynamics, HELD_BY_SDF)
-    _add_model("sdf", "identified.sdf", text, ", version 1.9, fixed to the world", constants, made)
-
-
-def _add_model(form: str, file: str, text: str, what: str, constants: JointConstants | JointDynamics, made: _Making) -> None:
-    """The file of a form, and what it has no place for: negative constants, and effects ``beside`` it."""
-    made.texts[file], made.about[form], made.left_out[form] = text, f"{file}{what}", _of_robot(constants.beside)
+    dynamics = found.joint_dynamics()
+    made.texts[file], made.about[form] = written(found.robot, found.locked, found.links, dynamics), f"{file}{what}"
+    constants = joint_constants(found.robot, dynamics, holds())
+    made.left_out[form] = _of_robot(constants.beside)
     if not constants.left_out:
         return
     said = f"Negative and so not in {file}: {', '.join(constants.left_out)}. Simulators take none; look for a missing effect."
@@ -209,6 +192,10 @@ def _add_model(form: str, file: str, text: str, what: str, constants: JointConst
     made.warnings.append(said)
 
 
+def _urdf(robot: Robot, _: Mapping[str, float], links: np.ndarray, dynamics: JointDynamics) -> str:
+    return urdf_text(robot, links, dynamics)
+
+
 def _of_robot(values: Mapping[str, tuple[float, str]]) -> dict[str, tuple[float, str]]:
     """Values without those of the force/torque sensor, which nobody would look for in a model of the robot."""
     kinds = {kind.name: kind for kind in CLASSES}
@@ -218,16 +205,11 @@ def _of_robot(values: Mapping[str, tuple[float, str]]) -> dict[str, tuple[float,
     }  # fmt: skip
 
 
-def _add_code(
-    form: str, file: str, what: str, written: Callable[[IdentifiedRobot, InverseDynamics], str], found: IdentifiedRobot,
-    made: _Making,
-) -> None:  # fmt: skip
+def _add_code(form: str, file: str, what: str, found: IdentifiedRobot, made: _Making) -> None:
     model = inverse_dynamics(found)
-    values = {
-        f"{effect.spec}.{key}": (value, effect.units[key])
-        for effect in found.effects if effect.spec in model.left_out for key, value in effect.values.items()
-    }  # fmt: skip
-    made.texts[file], made.left_out[form] = written(found, model), _of_robot(values)
+    left_out = [effect for effect in found.effects if effect.spec in model.left_out]
+    values = {f"{effect.spec}.{key}": given for effect in left_out for key, given in effect.parameters.items()}
+    made.texts[file], made.left_out[form] = source_code(file, found, model), _of_robot(values)
     made.about[form] = f"{file}{what}: torques and their 95 % band"
     if model.foreign:
         made.warnings.append(
@@ -255,11 +237,11 @@ def _ranges(found: IdentifiedRobot, made: _Making) -> None:
 
 #: What a robot can be exported as, and the function that does it.
 FORMS: dict[str, Callable[[IdentifiedRobot, _Making], None]] = {
-    "mjcf": _mjcf,
-    "urdf": _urdf,
-    "sdf": _sdf,
-    "cpp": partial(_add_code, "cpp", "inverse_dynamics.hpp", ", C++17", cpp_header),
-    "numpy": partial(_add_code, "numpy", "inverse_dynamics.py", "", numpy_module),
+    "mjcf": partial(_add_model, "mjcf", "identified.xml", ", mass matrix and bias forces as Pinocchio's", mjcf, held_by_mujoco),
+    "urdf": partial(_add_model, "urdf", "identified.urdf", "", _urdf, lambda: ()),
+    "sdf": partial(_add_model, "sdf", "identified.sdf", ", version 1.9, fixed to the world", sdf, lambda: HELD_BY_SDF),
+    "cpp": partial(_add_code, "cpp", "inverse_dynamics.hpp", ", C++17"),
+    "numpy": partial(_add_code, "numpy", "inverse_dynamics.py", ""),
     "ranges": _ranges,
 }
 
@@ -270,15 +252,13 @@ def _draw(found: IdentifiedRobot, forms: Sequence[str], count: int, seed: int, m
     negative = 0
     if count > len(links):
         raise InputError(f"{argument('draws', count)}: the posterior has {len(links)}; ask for fewer")
+    sampled = {form: drawn for form, drawn in {"mjcf": ("xml", mjcf), "urdf": ("urdf", _urdf)}.items() if form in forms}
     for k, draw in enumerate(np.random.default_rng(seed).choice(len(links), count, replace=False).tolist(), 1):
         dynamics = found.joint_dynamics(effects[draw])
         negative += bool(joint_constants(found.robot, dynamics, ("armature",)).left_out)
-        if "mjcf" in forms:
-            made.texts[f"sampled-{k:03d}.xml"] = mjcf(found.robot, found.locked, links[draw], dynamics)
-        if "urdf" in forms:
-            made.texts[f"sampled-{k:03d}.urdf"] = urdf_text(found.robot, links[draw], dynamics)
+        for ending, written in sampled.values():
+            made.texts[f"sampled-{k:03d}.{ending}"] = written(found.robot, found.locked, links[draw], dynamics)
     if negative:
         made.warnings.append(f"In {negative} of {count} draws friction or rotor inertia of a joint is negative, and left out.")
-    for form, ending in (("mjcf", "xml"), ("urdf", "urdf")):
-        if form in forms:
-            made.about[form] += f"; {count} draws of the posterior, sampled-001.{ending} ..."
+    for form, (ending, _) in sampled.items():
+        made.about[form] += f"; {count} draws of the posterior, sampled-001.{ending} ..."

@@ -27,7 +27,7 @@ from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.regressors import Kernel
 from bayesid.effects import EffectLibrary, JointMotion
 from bayesid.effects.segment import direction
-from bayesid.results.export.inverse_dynamics import LAWS, JointLaw, cpp_header, inverse_dynamics, numpy_module
+from bayesid.results.export.inverse_dynamics import LAWS, JointLaw, inverse_dynamics, source_code
 from bayesid.results.export.simulators import mjcf, sdf
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import load_robot
@@ -202,9 +202,9 @@ def test_names_are_no_code(identified):
     found = replace(workflow._found(identified)[0], name='x\n"""\\', robot=robot)
     model = inverse_dynamics(found)
     scope = {}
-    exec(numpy_module(found, model), scope)
+    exec(source_code("inverse_dynamics.py", found, model), scope)
     assert scope["JOINT_NAMES"][0] == 'a"b'
-    header = cpp_header(found, model)
+    header = source_code("inverse_dynamics.hpp", found, model)
     assert header.splitlines()[0].startswith("// Joint torques of x '''', identified") and '{"a\\"b", ' in header
 
 

@@ -26,9 +26,7 @@ class FoundEffect:
     #: As in ``estimate.json``.
     name: str
     where: str
-    #: By parameter.
-    values: dict[str, float]
-    units: dict[str, str]
+    parameters: dict[str, tuple[float, str]]  # value and unit of each
 
     @property
     def spec(self) -> str:
@@ -89,11 +87,11 @@ class IdentifiedRobot:
         negative, beside = [], {}
         for effect in self.effects:
             attribute, joint = attributes.get(effect.name), effect.joint
-            for key, stated in effect.values.items():
+            for key, (stated, unit) in effect.parameters.items():
                 name = f"{effect.spec}.{key}"
                 value = float(found.get(name, stated))
                 if attribute is None or joint is None:
-                    beside[name] = (value, effect.units[key])
+                    beside[name] = (value, unit)
                 elif value >= 0.0:
                     friction.setdefault(self.robot.joint_names[joint], {})[attribute] = value
                 else:
@@ -132,7 +130,7 @@ def randomisation(found: IdentifiedRobot) -> dict[str, Any]:
             column = found.effect_columns.get(f"{effect.spec}.{key}")
             if effect.name == kind and effect.joint is not None and column is not None:
                 drawn = effects[:, column - found.base.rank]
-                joints[robot.joint_names[effect.joint]][constant] = _summary(drawn, effect.units[key])
+                joints[robot.joint_names[effect.joint]][constant] = _summary(drawn, effect.parameters[key][1])
     return {"draws": len(links), "links": bodies, "joints": joints}
 
 

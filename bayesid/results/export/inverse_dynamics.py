@@ -152,11 +152,12 @@ def _laws(found: IdentifiedRobot, rank: int) -> tuple[tuple[JointLaw, ...], list
             left_out += [effect.spec] * (effect.name not in _SENSOR)
             continue
         own: list[int | None] = []
-        for key in effect.values:
+        for key in effect.parameters:
             column = found.effect_columns.get(f"{effect.spec}.{key}")
             own.append(None if column is None else rank + len(columns))
             columns += [] if column is None else [column]
-        laws.append(JointLaw(effect.spec, effect.name, effect.joint, tuple(effect.values.values()), tuple(own)))
+        values = tuple(value for value, _ in effect.parameters.values())
+        laws.append(JointLaw(effect.spec, effect.name, effect.joint, values, tuple(own)))
     return tuple(laws), columns, tuple(left_out)
 
 
@@ -171,22 +172,16 @@ def _bodies(robot: Robot, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return robot.body_joint[body], np.array(placed).reshape(-1, 10)
 
 
-def cpp_header(found: IdentifiedRobot, model: InverseDynamics) -> str:
-    """A self-contained C++17 header: torques, their standard deviations, and the 95 % band."""
-    return _rendered("inverse_dynamics.hpp", found, model)
+def source_code(file: str, found: IdentifiedRobot, model: InverseDynamics) -> str:
+    """Torques, their standard deviations and the 95 % band as source code, by the name of its file.
 
-
-def numpy_module(found: IdentifiedRobot, model: InverseDynamics) -> str:
-    """The same as a Python module that needs NumPy alone."""
-    return _rendered("inverse_dynamics.py.txt", found, model)
-
-
-def _rendered(template: str, found: IdentifiedRobot, model: InverseDynamics) -> str:
+    A self-contained C++17 header, ``inverse_dynamics.hpp``, or a Python module that needs NumPy alone, ``inverse_dynamics.py``.
+    """
     robot = model.robot
     joint, ten = model.bodies
     links = np.zeros((robot.n, 10))
     np.add.at(links, joint, model.values[: len(joint), None] * ten)
-    return _environment().get_template(template).render(
+    return _environment().get_template(f"{file}.txt").render(
         found=found, model=model, robot=robot, n=robot.n, count=len(model.values), rank=len(joint), order=robot.order,
         body_joint=joint, body_ten=ten, links=links, covariance=model.covariance, half=float(norm.ppf(0.5 * (1.0 + LEVEL))),
         loaded=any(law.per_load for law in model.laws), level=LEVEL, ramp=RAMP,
