@@ -249,6 +249,20 @@ def read_trajectory(
     )  # fmt: skip
 
 
+def as_trajectory(given: object, robot: Robot) -> Trajectory:
+    """A planned motion, or that of a table; an `InputError` where it is neither, or of other joints than the robot's."""
+    if isinstance(given, (str, Path)):
+        return read_trajectory(given, robot)
+    if not isinstance(given, Trajectory):
+        raise InputError(f"a {type(given).__name__} is given among the trajectories; pass tables or bayesid.Trajectory objects")
+    if given.positions.shape[1] != robot.n:
+        raise InputError(
+            f"trajectory '{given.name}': {given.positions.shape[1]} joints but the robot has {robot.n}; "
+            "give one column for each joint"
+        )
+    return given
+
+
 def planned_trajectories(robot: Robot, paths: Sequence[str | Path], static: bool = False) -> list[Trajectory]:
     """Planned motions of several files: where there are two or more, the last is for validation.
 

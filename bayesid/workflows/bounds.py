@@ -31,10 +31,10 @@ from bayesid.results.fitted_model import joint_dynamics
 from bayesid.results.identification import Identification
 from bayesid.results.loaded import LoadedIdentification, LoadedPosterior, load
 from bayesid.results.posterior import ExperimentPosterior, posterior_robot
-from bayesid.robot.robot import Robot, motion_limits
+from bayesid.robot.robot import motion_limits
 from bayesid.rounding import number
 from bayesid.signals.filters import LowPass
-from bayesid.simulation.trajectories import Trajectory, read_trajectory
+from bayesid.simulation.trajectories import Trajectory, as_trajectory
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
@@ -214,7 +214,8 @@ def bounds(
     clock("reading")
     if not isinstance(source, (ExperimentPosterior, Identification)):
         source = as_experiment(source, "a posterior or an identification")
-    planned = _planned(trajectory, source.robot if isinstance(source, Experiment) else source.problem.experiment.robot)
+    robot = source.robot if isinstance(source, Experiment) else source.problem.experiment.robot
+    planned = None if trajectory is None else as_trajectory(trajectory, robot)
     with one_blas_thread():
         if run is not None and isinstance(source, Experiment):
             known, warned = _known_from_run(source, Path(run), chosen, prior_std, seed)
@@ -398,16 +399,6 @@ def _trained_states(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarra
     )
     q, v, a = every[:, np.unique(np.linspace(0, every.shape[1] - 1, _TRAINED).astype(int))]
     return q, v, a
-
-
-def _planned(given: Trajectory | str | Path | None, robot: Robot) -> Trajectory | None:
-    """The motion that is asked for; None where none is."""
-    if given is None or not isinstance(given, Trajectory):
-        return None if given is None else read_trajectory(given, robot)
-    joints = given.positions.shape[1]
-    if joints != robot.n:
-        raise InputError(f"trajectory {given.name} has {joints} joints, the robot {robot.n}; give one of its own")
-    return given
 
 
 def _recorded(problem: Problem) -> list[Trajectory]:

@@ -23,7 +23,7 @@ from bayesid.regression.readings import default_channel
 from bayesid.regression.regression import Regression
 from bayesid.results.identifiability import Identifiability
 from bayesid.robot.robot import Robot
-from bayesid.simulation.trajectories import Trajectory, fourier_trajectory, read_trajectory
+from bayesid.simulation.trajectories import Trajectory, as_trajectory, fourier_trajectory
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 
 _READ = {"wrench": "wrench", "torque": "joint torques"}
@@ -116,23 +116,9 @@ def _experiment(
     if trajectories is None:
         return experiment, [fourier_trajectory(given, "random motion")] if isinstance(given, Robot) else None
     several = [trajectories] if isinstance(trajectories, (str, Path, Trajectory)) else list(trajectories)
-    made = [_planned(t, experiment.robot) for t in several]
+    made = [as_trajectory(t, experiment.robot) for t in several]
     called = [t.name for t in made]  # tables as `bayesid.excite` writes them have one name
     return experiment, [t if called.count(t.name) == 1 else replace(t, name=f"{t.name} ({k})") for k, t in enumerate(made, 1)]
-
-
-def _planned(given: object, robot: Robot) -> Trajectory:
-    """A planned motion, or that of a table."""
-    if isinstance(given, (str, Path)):
-        return read_trajectory(given, robot)
-    if not isinstance(given, Trajectory):
-        raise InputError(f"a {type(given).__name__} is given among the trajectories; pass tables or bayesid.Trajectory objects")
-    if given.positions.shape[1] != robot.n:
-        raise InputError(
-            f"trajectory '{given.name}': {given.positions.shape[1]} joints but the robot has {robot.n}; "
-            "give one column for each joint"
-        )
-    return given
 
 
 def _motions(
