@@ -97,16 +97,14 @@ def sample_noise(table: Table) -> dict[str, float]:
     standard deviation s gives them ``s sqrt(20)``. The median does not see outliers. Where more than half the
     differences are zero (coarse digits), their root mean square stands in.
     """
-    out: dict[str, float] = {}
-    for names, values in _readings(table):
-        parts = [np.diff(values[p], 3, axis=0) for p in table.segments() if p.stop - p.start > 20]
-        if not parts:
-            continue
-        third = np.concatenate(parts)
-        robust = np.median(np.abs(third), axis=0) / 0.674490
-        plain = np.sqrt(np.mean(third**2, axis=0))
-        out |= dict(zip(names, map(float, np.where(robust > 0, robust, plain) / np.sqrt(20.0)), strict=True))
-    return out
+    found = dict(table.channels())
+    pieces = [p for p in table.segments() if p.stop - p.start > 20]
+    if not found or not pieces:
+        return {}
+    third = np.concatenate([np.diff(np.column_stack([values[p] for values in found.values()]), 3, axis=0) for p in pieces])
+    robust = np.median(np.abs(third), axis=0) / 0.674490
+    plain = np.sqrt(np.mean(third**2, axis=0))
+    return dict(zip(found, map(float, np.where(robust > 0, robust, plain) / np.sqrt(20.0)), strict=True))
 
 
 def noise_at_rest(motion: Motion) -> dict[str, float]:
@@ -114,25 +112,14 @@ def noise_at_rest(motion: Motion) -> dict[str, float]:
 
     Unlike `sample_noise` it holds slow noise, too.
     """
-    times = motion.table.times
+    times, found = motion.table.times, dict(motion.table.channels())
     inside = [(times >= start) & (times <= end) for start, end in motion.parked]
-    inside = [k for k in inside if np.count_nonzero(k) > 2]
-    out: dict[str, float] = {}
-    if inside:
-        freedom = sum(np.count_nonzero(k) - 1 for k in inside)
-        for names, values in _readings(motion.table):
-            squares = np.sum([np.sum((values[k] - values[k].mean(axis=0)) ** 2, axis=0) for k in inside], axis=0)
-            out |= dict(zip(names, map(float, np.sqrt(squares / freedom)), strict=True))
-    return out
-
-
-def _readings(table: Table) -> list[tuple[tuple[str, ...], np.ndarray]]:
-    """Names and values (N, c) of the wrench and of the torques, as far as they were recorded."""
-    groups: list[tuple[tuple[str, ...], np.ndarray]] = [] if table.wrench is None else [(WRENCH_COLUMNS, table.wrench)]
-    if table.torques is not None:
-        joints = list(table.torque_joints)
-        groups.append((tuple(f"tau{j + 1}" for j in joints), table.torques[:, joints]))
-    return groups
+    parked = [np.column_stack([values[k] for values in found.values()]) for k in inside if found and np.count_nonzero(k) > 2]
+    if not parked:
+        return {}
+    squares = np.sum([np.sum((values - values.mean(axis=0)) ** 2, axis=0) for values in parked], axis=0)
+    freedom = sum(len(values) - 1 for values in parked)
+    return dict(zip(found, map(float, np.sqrt(squares / freedom)), strict=True))
 
 
 def _summary(motion: Motion, bandwidth: float | None) -> MotionSummary:
