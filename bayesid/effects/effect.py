@@ -311,3 +311,7 @@ class Term:
         object.__setattr__(self, "values", tuple(float(v) for v in self.values))
         if len(self.values) != len(self.effect.parameters):
             raise ValueError(f"{self.effect.spec} has {len(self.effect.parameters)} parameters, not {len(self.values)}")
+
+    def with_std(self, std: np.ndarray) -> list[Derived]:
+        """Name, value, standard deviation, of these (k,), and unit of every parameter."""
+        return list(zip(self.effect.parameters, self.values, map(float, std), self.effect.units, strict=True))

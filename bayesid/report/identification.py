@@ -443,11 +443,11 @@ def _both_ways(result: Identification) -> list[ShownSection]:
         own = estimate.parameters().to_list()[: estimate.base.rank]
         tables.append({p["name"]: (*with_interval(*(p[k] for k in _INTERVAL)), p["label"], p["unit"]) for p in own})
     first, second = tables if subtracted else tables[::-1]
-    rows, nothing = [], (DASH, DASH)
-    for name in dict.fromkeys([*first, *second]):
-        one, two = first.get(name), second.get(name)
-        label, unit = (one or two or ("", "", "", ""))[2:]
-        rows.append([label, *(one or nothing)[:2], *(two or nothing)[:2], unit])
+    nothing, either = (DASH, DASH), second | first
+    rows = [
+        [either[name][2], *first.get(name, nothing)[:2], *second.get(name, nothing)[:2], either[name][3]]
+        for name in dict.fromkeys([*first, *second])
+    ]
     head = ["base parameter", "subtracted", "± 95 %", "fitted along", "± 95 %", "unit"]
     return [ShownSection("The static run, used both ways", [
         "The readings at rest can be subtracted sample by sample, which removes the sensor's offset and all gravity (equation "

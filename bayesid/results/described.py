@@ -90,10 +90,7 @@ def description_dict(description: Description, names: tuple[str, ...]) -> dict[s
     return {
         "is": "a description, not a name", "effect": effect.spec, "file": DRAFT,
         "formulas": {k: v for k, v in d.table.items() if k not in ("parameters", "summary")},
-        "parameters": {
-            key: with_ends(value, std, unit)
-            for key, value, std, unit in zip(effect.parameters, d.term.values, d.std, effect.units, strict=True)
-        },
+        "parameters": {key: with_ends(value, std, unit) for key, value, std, unit in d.term.with_std(d.std)},
         "beside": [t.effect.spec for t in d.start.terms],
         "terms": [
             {

@@ -269,21 +269,16 @@ class Diagnosis(ShownResult):
 
     def _effect(self, found: Found, index: int) -> dict[str, Any]:
         effect = found.term.effect
-        std = found.std
-        parameters = {
-            key: with_ends(value, s, unit)
-            for key, value, s, unit in zip(effect.parameters, found.term.values, std, effect.units, strict=True)
-        }
+        parameters = {key: with_ends(value, s, unit) for key, value, s, unit in found.term.with_std(found.std)}
         derived = {key: with_ends(value, s, unit) for key, value, s, unit in self.derived(index)}
         rivals = [{"name": t.effect.name, "where": t.effect.where} for t, _ in found.rivals]
-        share = self.shares(index)
+        share, share_low = self.shares(index) or (None, None)
         odds = np.array([0.0, *(-lack for _, lack in found.rivals)])
         probability = (1.0 - self.data.settings.outside_library) / np.exp(odds).sum()
         return {
             "name": effect.name, "where": effect.where, "probability": float(probability),
-            "log_bayes_factor": found.gain, "share": None if share is None else share[0],
-            "share_low": None if share is None else share[1], "parameters": parameters, "derived": derived,
-            "ambiguous_with": rivals,
+            "log_bayes_factor": found.gain, "share": share, "share_low": share_low, "parameters": parameters,
+            "derived": derived, "ambiguous_with": rivals,
             "stability": next((x.to_dict() for x in self.stability if x and x.spec == effect.spec), None),
             "course": found.term.to_dict() if isinstance(found.term, Push) else None,
         }  # fmt: skip
@@ -505,11 +500,9 @@ def event_sentences(diagnosis: Diagnosis) -> list[str]:
 def effect_rows(diagnosis: Diagnosis, index: int) -> list[tuple[str, str, str, str, str, str]]:
     """The effect before each of its `parameter_rows`, in the first with those that explain as much."""
     found = diagnosis.found[index]
-    spec, rivals = (
-        found.term.effect.spec,
-        "".join(f" or {' with '.join(t.effect.spec for t in terms)}" for terms in found.alternatives),
-    )
-    return [(spec if k else f"{spec}{rivals}", *row) for k, row in enumerate(parameter_rows(diagnosis, index))]
+    rivals = "".join(f" or {' with '.join(t.effect.spec for t in terms)}" for terms in found.alternatives)
+    rows = parameter_rows(diagnosis, index)
+    return [(found.term.effect.spec + ("" if k else rivals), *row) for k, row in enumerate(rows)]
 
 
 def parameter_rows(diagnosis: Diagnosis, index: int) -> list[tuple[str, str, str, str, str]]:
@@ -517,12 +510,9 @@ def parameter_rows(diagnosis: Diagnosis, index: int) -> list[tuple[str, str, str
 
     Where the data do not determine a value none is shown.
     """
-    found = diagnosis.found[index]
-    effect = found.term.effect
-    rows = []
-    values = zip(effect.parameters, found.term.values, found.std, effect.units, strict=True)
-    for key, value, std, unit in (*values, *diagnosis.derived(index)):
-        half = HALF * float(std)
+    found, rows = diagnosis.found[index], []
+    for key, value, std, unit in (*found.term.with_std(found.std), *diagnosis.derived(index)):
+        half = HALF * std
         known = np.isfinite(half) and half > 0.0
         text, spread = with_half(value, half) if known else (NOT_DETERMINED, DASH)
         rows.append((key, text, spread, ends(value - half, value + half) if known else DASH, unit_text(unit)))

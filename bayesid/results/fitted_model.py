@@ -11,7 +11,7 @@ import numpy as np
 
 from bayesid.arguments import call
 from bayesid.dynamics.channels import WRENCH_NAMES
-from bayesid.effects import Effect, Term, stated_of
+from bayesid.effects import Effect, Term, stated_of, with_places
 from bayesid.errors import InputError
 from bayesid.estimators.conic.consistent_links import ConsistentLinks
 from bayesid.estimators.estimator import LEVEL
@@ -79,10 +79,7 @@ def by_effect(row_model: RowModel, values: np.ndarray, std: np.ndarray) -> list[
     whole = np.full((2, len(row_model.free)), np.nan)
     whole[0] = 0.0 if row_model.point is None else row_model.point.values
     whole[:, row_model.free] = values, std
-    ends = np.cumsum([len(effect.parameters) for effect in row_model.effects])
-    return (
-        [(e, *part) for e, part in zip(row_model.effects, np.split(whole, ends[:-1], axis=1), strict=True)] if len(ends) else []
-    )
+    return [(effect, *whole[:, at]) for effect, at in with_places(row_model.effects)]
 
 
 def own_values(problem: Problem, values: np.ndarray, links: np.ndarray) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.design.accuracy.certificate import CoverageCertificate
-from bayesid.effects import Term
+from bayesid.effects import Term, with_places
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.estimators.parameters import Parameters, central_interval
@@ -187,22 +186,18 @@ class Identification(PlotsPredictions, HasEstimate, Result):
         InputError
             The level is no probability.
         """
-        base, effects = self.estimate.parameters(level), self._fitted_effects()
-        rank, free = self.base.rank, self.problem.row_model.free
-        limits = np.full((2, len(free)), np.nan)
-        limits[:, free] = base.low[rank:], base.high[rank:]
-        values, stds, first = [base.values[:rank]], [base.std[:rank]], 0
-        for term, std in effects:
-            own = slice(first, first := first + len(std))
-            if term.effect.absorbs_weight and self.offset is not None:
-                limits[:, own] = central_interval(np.array(term.values), std, level)
-            values.append(np.array(term.values))
-            stds.append(std)
-        names = [name for term, _ in effects for name in term.effect.column_names]
-        units = [unit for term, _ in effects for unit in term.effect.units]
+        base, rank, model = self.estimate.parameters(level), self.base.rank, self.problem.row_model
+        values, std, low, high = np.full((4, len(model.free)), np.nan)
+        low[model.free], high[model.free] = base.low[rank:], base.high[rank:]
+        for (effect, at), (term, own) in zip(with_places(model.effects), self._fitted_effects(), strict=True):
+            values[at], std[at] = term.values, own
+            if effect.absorbs_weight and self.offset is not None:
+                low[at], high[at] = central_interval(values[at], own, level)
+        names = [name for effect in model.effects for name in effect.column_names]
+        units = [unit for effect in model.effects for unit in effect.units]
         return Parameters(
-            [*self.names, *names], [*self.base.labels, *names], np.concatenate(values), np.concatenate(stds),
-            np.concatenate([base.low[:rank], limits[0]]), np.concatenate([base.high[:rank], limits[1]]),
+            [*self.names, *names], [*self.base.labels, *names], np.append(base.values[:rank], values),
+            np.append(base.std[:rank], std), np.append(base.low[:rank], low), np.append(base.high[:rank], high),
             [*self.base.units, *units], [*self.estimate.classes, *["effect"] * len(names)],
         )  # fmt: skip
 
@@ -277,16 +272,16 @@ class Identification(PlotsPredictions, HasEstimate, Result):
 
     def effects(self) -> list[dict[str, Any]]:
         """Every effect of the model with values, standard deviations and 95 % intervals (None without) and units."""
-        entries = iter(self.parameters().to_list()[self.base.rank :])
+        entries = self.parameters().to_list()[self.base.rank :]
         return [
             {
-                "name": term.effect.name, "where": term.effect.where,
+                "name": effect.name, "where": effect.where,
                 "parameters": {
                     key: {k: entry[k] for k in ("value", "std", "low", "high", "unit")}
-                    for key, entry in zip(term.effect.parameters, itertools.islice(entries, len(term.values)), strict=True)
+                    for key, entry in zip(effect.parameters, entries[at], strict=True)
                 },
             }
-            for term, _ in self._fitted_effects()
+            for effect, at in with_places(self.problem.row_model.effects)
         ]  # fmt: skip
 
     @property

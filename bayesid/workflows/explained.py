@@ -123,5 +123,5 @@ def _as_fitted(effect: EffectBeside, fit: Identification) -> EffectBeside:
 
 def _effect(term: Term, std: np.ndarray, rivals: Sequence[Term]) -> EffectBeside:
     e = term.effect
-    values = {n: (v, float(s), u) for n, v, s, u in zip(e.parameters, term.values, std, e.units, strict=True)}
+    values = {name: (value, s, unit) for name, value, s, unit in term.with_std(std)}
     return EffectBeside(e.name, e.where, values, tuple(t.effect.spec for t in rivals))
