@@ -28,10 +28,6 @@ from bayesid.section import Html, ShownSection, ShownTable
 _BARS = 12
 #: Letters below a picture that have room beside each other.
 _LETTERS = 120
-_VERDICTS = {
-    "named": ("changed", "fair"), "named_in_part": ("changed, named in part", "fair"), "ambiguous": ("ambiguous", "fair"),
-    "unknown": ("changed, unknown", "bad"), "nothing_missing": ("nothing changed", "good"),
-}  # fmt: skip
 
 
 @report_of.register
@@ -115,7 +111,7 @@ def _steps(c: ReferenceComparison) -> list[tuple[str, float]]:
 
 def _cards(c: ReferenceComparison) -> list[tuple[str, str, str]]:
     p = c.errors
-    words, mood = _VERDICTS[c.verdict]
+    words, mood = results.VERDICTS[c.verdict]
     large = [(words, f"since {c.reference.problem.experiment.name}", mood)]
     for x in c.changes[:2]:
         name, text, half, _, unit = results.value_text(x.values[0])
@@ -131,16 +127,8 @@ def _channels(c: ReferenceComparison) -> ShownTable:
         [name, number(float(scale[k]), 3), unit, *(number(float(v), 3) for v in c.errors.by_channel[k])]
         for k, (name, unit) in enumerate(zip(channels.names, channels.units, strict=True))
     ]
-    head = [
-        "channel",
-        "own fit leaves",
-        "unit",
-        "reference",
-        "with the changes alone",
-        "all else within its tolerance",
-        "own fit",
-    ]
-    return ShownTable(head, rows, "k n - n n n n", "narrow")
+    models = ["reference", "with the changes alone", "all else within its tolerance", "own fit"]
+    return ShownTable(["channel", "own fit leaves", "unit", *models], rows, "k n - n n n n", "narrow")
 
 
 def _place(result: Changes, place) -> list[str]:

@@ -15,7 +15,7 @@ from bayesid.report.charts import WIDTH, Group, Panel, chart, key, key_width, li
 from bayesid.report.check import recording
 from bayesid.report.page import bullets, cards, figure, fold, how, lead, note, page, warnings
 from bayesid.results import excitation as results
-from bayesid.results.excitation import TRAJECTORY, DistinguishingMotion, Excitation
+from bayesid.results.excitation import KINDS, TRAJECTORY, DistinguishingMotion, Excitation, LimitUse
 from bayesid.results.files import report_of
 from bayesid.rounding import DASH, counted, number, percent
 from bayesid.section import Html, ShownSection, ShownTable
@@ -114,10 +114,9 @@ def distinguishing_report(result: DistinguishingMotion) -> str:
     return page(result.name, kicker, [lead(result.lead), cards(large)], sections, title)
 
 
-_TITLES = {
-    "position": "position of", "velocity": "speed of", "acceleration": "acceleration of", "torque": "torque of",
-    "wrench": "sensor", "collision": "distance of",
-}  # fmt: skip
+def _title(use: LimitUse) -> str:
+    """What is limited, before whose it is."""
+    return KINDS[use.kind] + " of" * (use.kind != "wrench")
 
 
 def _groups(result: Excitation) -> list[Group]:
@@ -130,13 +129,13 @@ def _groups(result: Excitation) -> list[Group]:
 @report_of.register
 def excitation_report(result: Excitation) -> str:
     """The report of ``excite``: an HTML page with all figures inside."""
-    shares = [(_TITLES[u.kind], u.where, u.ratio) for u in result.limits if u.kind != "collision"]
+    shares = [(_title(u), u.where, u.ratio) for u in result.limits if u.kind != "collision"]
     axis = {"d": "mean logarithm of the eigenvalues of the information, larger is better"}.get(
         result.criterion, "logarithm of the criterion, larger is better"
     )
     blocks = [[f"{b.trajectory.name}.csv", results.block_length(b), b.shows] for b in result.blocks]
     limits_ = [
-        [_TITLES[u.kind], u.where, number(u.reached, 4), number(u.limit, 4), u.unit,
+        [_title(u), u.where, number(u.reached, 4), number(u.limit, 4), u.unit,
          percent(u.ratio) if u.kind != "collision" else DASH, ("yes", "good") if u.kept else ("no", "bad")]
         for u in result.limits
     ]  # fmt: skip
@@ -184,7 +183,7 @@ def excitation_report(result: Excitation) -> str:
 
 
 def _warnings(result: Excitation) -> list[str]:
-    out = [f"The limit of {_TITLES[u.kind]} {u.where} is not kept." for u in result.limits if not u.kept]
+    out = [f"The limit of {_title(u)} {u.where} is not kept." for u in result.limits if not u.kept]
     if result.interrupted:
         out.append("The search was interrupted: this is the best motion that it had found.")
     hidden = result.possible - result.base.rank

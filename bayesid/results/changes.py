@@ -24,11 +24,12 @@ from bayesid.validation.prediction import Prediction
 
 #: Kinds of changes whose smallest visible size is given where nothing changed.
 _LISTED = ("payload", "coulomb_friction", "viscous_friction", "torque_gain", "sensor_offset", "sensor_gain")
-_WORDS = {
-    "named": "changed", "named_in_part": "changed, named in part", "ambiguous": "changed, ambiguous",
-    "unknown": "changed, unknown", "nothing_missing": "nothing changed",
+#: Each verdict in a few words, and its colour.
+VERDICTS = {
+    "named": ("changed", "fair"), "named_in_part": ("changed, named in part", "fair"),
+    "ambiguous": ("changed, ambiguous", "fair"), "unknown": ("changed, unknown", "bad"),
+    "nothing_missing": ("nothing changed", "good"), "not_compared": ("not compared", "bad"),
 }  # fmt: skip
-_MOODS = {"nothing_missing": "good", "unknown": "bad", "not_compared": "bad"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,14 +329,9 @@ class Watched:
         return float("nan") if self.comparison is None else max((e for _, e in self.comparison.scores), default=0.0)
 
     @property
-    def words(self) -> str:
-        """The verdict in a few words."""
-        return _WORDS.get(self.verdict, "not compared")
-
-    @property
     def line(self) -> list[Cell]:
         """Cells of the table: name, verdict, what changed, the gap, and what is left over the noise."""
-        verdict = self.words, _MOODS.get(self.verdict, "fair")
+        verdict = VERDICTS[self.verdict]
         if self.comparison is None:
             return [self.name, verdict, self.complaint, DASH, DASH]
         noise = number(self.times_noise, 3) if np.isfinite(self.times_noise) else DASH
@@ -345,7 +341,7 @@ class Watched:
         """The recording in one line."""
         said = self.complaint or "; ".join(map(_change_text, self.changes))
         gap = "" if self.comparison is None else f" (residual {number(self.gap, 3)} times that of its own fit)"
-        return f"{self.name}: {self.words}{f': {said}' if said else ''}{gap}"
+        return f"{self.name}: {VERDICTS[self.verdict][0]}{f': {said}' if said else ''}{gap}"
 
     def to_dict(self) -> dict[str, Any]:
         """An entry of ``watch.json``."""

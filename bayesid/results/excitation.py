@@ -27,7 +27,8 @@ NEXT_MOTION = "next_motion.csv"
 _NAMED = 2
 #: The motion's file.
 TRAJECTORY = "trajectory.csv"
-_KINDS = {
+#: Kinds of limits in words.
+KINDS = {
     "position": "position", "velocity": "speed", "acceleration": "acceleration", "torque": "torque", "wrench": "sensor",
     "collision": "distance",
 }  # fmt: skip
@@ -221,7 +222,7 @@ class Excitation(ShownResult):
         rows = []
         for kind in dict.fromkeys(use.kind for use in self.limits):
             use = max((use for use in self.limits if use.kind == kind), key=lambda use: use.ratio)
-            rows.append([_KINDS[kind], use.where, f"{number(use.reached, 3)} {use.unit}", f"{number(use.limit, 3)} {use.unit}",
+            rows.append([KINDS[kind], use.where, f"{number(use.reached, 3)} {use.unit}", f"{number(use.limit, 3)} {use.unit}",
                          percent(use.ratio) if kind != "collision" else "kept" if use.kept else "broken"])  # fmt: skip
         lines.append(ShownTable(["nearest to its limit", "where", "reached", "allowed", "share"], rows))
         lines += [
