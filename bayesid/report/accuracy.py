@@ -51,26 +51,23 @@ def sweeps_figure(sweeps: Sweeps, ax: Any = None) -> Figure:
     rows = [(s, k, v) for s in others for k, v in enumerate(s.levels) if v.source != "refused"]
     if ax is not None:
         figure, axes = make_grid(len(curves) + bool(rows), 1, 1.0, ax=ax)
-        for panel, s in zip(axes.ravel(), curves, strict=False):
-            _curve(panel, s, sweeps)
-        if rows:
-            _dots(axes.ravel()[-1], rows, sweeps)
-        add_legend(axes)
-        return figure
-    lines = -(-len(curves) // _PANELS)
-    height, dots = 1.75, 0.27 * len(rows) + 0.1
-    top, bottom, space = 0.75, 0.5, 0.85
-    total = top + lines * (height + space) + (dots + 0.35 if rows else 0.0) + bottom
-    figure = Drawing(figsize=(10.4, total))
-    left, width, gap = 0.62, 2.75, 0.52
-    for i, s in enumerate(curves):
-        row, column = divmod(i, _PANELS)
-        at = (left + column * (width + gap), total - top - row * (height + space) - height, width, height)
-        _curve(figure.add_axes((at[0] / 10.4, at[1] / total, at[2] / 10.4, at[3] / total)), s, sweeps)
+    else:
+        height, width, gap, space = 1.75, 2.75, 0.52, 0.85
+        left, top, bottom, names = 0.62, 0.75, 0.5, 4.35
+        dots = 0.27 * len(rows) + 0.1
+        total = top + -(-len(curves) // _PANELS) * (height + space) + (dots + 0.35 if rows else 0.0) + bottom
+        places = [
+            (left + column * (width + gap), total - top - row * (height + space) - height, width, height)
+            for row, column in (divmod(k, _PANELS) for k in range(len(curves)))
+        ]
+        places += [(names, bottom, 10.2 - names, dots)] * bool(rows)
+        figure = Drawing(figsize=(10.4, total))
+        axes = np.array([figure.add_axes((x / 10.4, y / total, w / 10.4, h / total)) for x, y, w, h in places], object)
+    for panel, s in zip(axes.ravel(), curves, strict=False):
+        _curve(panel, s, sweeps)
     if rows:
-        names = 4.35
-        _dots(figure.add_axes((names / 10.4, bottom / total, (10.2 - names) / 10.4, dots / total)), rows, sweeps)
-    add_legend(np.array(figure.axes, object))
+        _dots(axes.ravel()[-1], rows, sweeps)
+    add_legend(axes)
     return figure
 
 
@@ -207,11 +204,7 @@ def _over_parameters(parameters: Sequence[str], height: float, left: float, righ
     """A panel over base parameters, named below it unless they are too many; its margins and the one below in inches."""
     many = len(parameters) > _NAMED
     below = 0.45 if many else 0.3 + 0.072 * max(map(len, parameters), default=0)
-    figure, axes = make_grid(1, 1, height, left=left, right=right, top=_TOP, ax=ax)
-    if ax is None:
-        width, total = figure.get_size_inches()[0], _TOP + height + below
-        figure.set_size_inches(width, total)
-        figure.subplots_adjust(left=left / width, right=1 - right / width, top=1 - _TOP / total, bottom=below / total)
+    figure, axes = make_grid(1, 1, height, left=left, right=right, top=_TOP, bottom=below, ax=ax)
     ax = axes[0, 0]
     ax.set_xlim(-0.5, len(parameters) - 0.5)
     if many:
@@ -305,14 +298,9 @@ def accuracy_report(result: Accuracy) -> str:
         *["formula and simulation agree"] * (sweeps is not None and sweeps.formula is not None),
         *["the model is complete as far as its residuals tell"] * (bench.estimate.details.model_complete is True),
     ]
-    name = bench.experiment.name
-    return page(name, kicker, [warnings(result.warnings, _unwarned(fine)), lead(_lead(result)), cards(_cards(result))], sections,
-                f"{name}: accuracy")  # fmt: skip
-
-
-def _unwarned(fine: Sequence[str]) -> str:
-    """What stands in the place of warnings, with the reasons for that which there are."""
-    return f"No warnings{': ' * bool(fine)}{', and '.join(fine)}."
+    name, unwarned = bench.experiment.name, f"No warnings{': ' * bool(fine)}{', and '.join(fine)}."
+    opening = [warnings(result.warnings, unwarned), lead(_lead(result)), cards(_cards(result))]
+    return page(name, kicker, opening, sections, f"{name}: accuracy")
 
 
 def _lead(result: Accuracy) -> str:

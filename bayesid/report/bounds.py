@@ -47,25 +47,24 @@ def band_figure(band: Band, channels: Sequence[str] | str | None = None, ax: Any
     rows = -(-count // columns)
     figure, axes = make_grid(2 * rows, columns, 0.85, ax=ax, sharex=True, height_ratios=(1.5, 0.8) * rows)
     dense = len(band.times) > DENSE
-    for at, k in enumerate(chosen):
+    panels = list(zip(axes[::2].ravel(), axes[1::2].ravel(), strict=True))
+    for k, (ax, halves) in zip(chosen, panels, strict=False):
         name, unit = band.names[k], band.units[k]
-        ax, below = axes[2 * (at // columns), at % columns], axes[2 * (at // columns) + 1, at % columns]
         both = (
             ("simultaneous", "all samples at once", 0.15, "-", band.low, band.high, band.half_width),
             ("pointwise", "95 % of the samples", 0.4, "--", band.pointwise_low, band.pointwise_high, band.pointwise_half_width),
         )
         for kind, holds, alpha, style, low, high, half in both:
             ax.fill_between(band.times, low[:, k], high[:, k], color=_BLUE, alpha=alpha, lw=0, label=f"{kind}: {holds}")
-            below.plot(band.times, half[:, k], color=_BLUE, lw=0.9, ls=style, label=f"half {kind}", rasterized=dense)
+            halves.plot(band.times, half[:, k], color=_BLUE, lw=0.9, ls=style, label=f"half {kind}", rasterized=dense)
         ax.plot(band.times, band.values[:, k], color=PREDICTED, lw=0.9, label="predicted", rasterized=dense)
         ax.set_title(f"{name} [{unit}]")
-        below.set_ylim(bottom=0.0)
-        for panel in (ax, below):
+        halves.set_ylim(bottom=0.0)
+        for panel in (ax, halves):
             panel.yaxis.set_major_locator(MaxNLocator(3))
         tidy_time(ax, False)
-    for k in range(count, rows * columns):
-        for ax in (axes[2 * (k // columns), k % columns], axes[2 * (k // columns) + 1, k % columns]):
-            ax.set_visible(False)
+    for ax in (ax for both in panels[count:] for ax in both):
+        ax.set_visible(False)
     label_lowest(axes, "time [s]")
     add_legend(axes, *axes[:2, 0])
     return figure

@@ -32,13 +32,12 @@ def joint_ranges(
     units: Sequence[str],
 ) -> Markup:
     """How much of each joint's range (n,) each motion, with its name, lowest and highest positions (n,), uses."""
-    names = [_cut(name) for name in names]
-    count, shown = len(names), list(motions)[:8]
-    places, lines = _legend([_cut(name) for name, _, _ in shown])
+    names, count = [_cut(name) for name in names], len(names)
+    places, lines = _legend([_cut(name) for name, _, _ in motions])
     left, top = 12.0 + max(map(text_width, names)), 8.0 + _LINE * lines
-    height = 72.0 * count * (0.22 + 0.13 * len(shown))
+    height = 72.0 * count * (0.22 + 0.13 * len(motions))
     bounded = np.isfinite(lower) & np.isfinite(upper)
-    ends = [lower[bounded], upper[bounded], *(end for _, *both in shown for end in both)]
+    ends = [lower[bounded], upper[bounded], *(end for _, *both in motions for end in both)]
     panel = Panel(left, top, WIDTH - 14.4 - left, height, limits(ends, 0.05), (count - 0.4, -0.6))
     parts = [panel.bar(lower[j], upper[j], j, 0.9, "#eef2f7") for j in np.flatnonzero(bounded).tolist()]
     parts.append(panel.frame("", "position [" + " or ".join(dict.fromkeys(units)) + "]", y_axis=False))
@@ -46,9 +45,9 @@ def joint_ranges(
         parts.append(write(left - 6.0, float(panel.down(np.array(j))) + 3.2, name, 8.5, "#475569", "end"))
         if bounded[j]:
             parts += [panel.stroke(end, j, 0.9, "#94a3b8") for end in (lower[j], upper[j])]
-    slot = 0.8 / max(len(shown), 1)
+    slot = 0.8 / max(len(motions), 1)
     thickness = min(0.8 * slot, 0.3)
-    for k, (name, low, high) in enumerate(shown):
+    for k, (name, low, high) in enumerate(motions):
         colour = CYCLE[k % len(CYCLE)]
         for j in range(count):
             at = j - 0.4 + (k + 0.5) * slot

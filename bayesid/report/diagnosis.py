@@ -84,7 +84,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> str:
     found = [_found(d)] if d.found else []
     sections = [
         *_stays(d), _where(d, views), *found, *described, _why(d), *moved, _left(d, views), _visible(d, views),
-        _noise_floor(d, views), _next(d), how(*_how(d), seconds=d.seconds, after="All numbers are in `diagnosis.json`."),
+        _noise_floor(d), _next(d), how(*_how(d), seconds=d.seconds, after="All numbers are in `diagnosis.json`."),
     ]  # fmt: skip
     opening = [
         lead(f"**{results.verdict_sentence(d)}** {results.validation_sentence(d)}"), cards(_cards(d)),
@@ -310,8 +310,7 @@ def _errors(d: Diagnosis) -> ShownTable:
                 f"{number(float(v), 3)} ({percent(float(share), 2)})" if share > 0 else number(float(v), 3)
                 for v, share in zip(p.rmse, p.nrmse, strict=True)
             ]
-            noise = number(p.whitened_rms, 3) if p.noise_known else DASH
-            rows.append([title, (name, "dim"), noise, percent(p.relative_error), *each])
+            rows.append([title, (name, "dim"), number(p.times_noise, 3), percent(p.relative_error), *each])
             title = ""
     channels = [f"{n} [{u}]" for n, u in zip(d.data.channels.names, d.data.channels.units, strict=True)]
     return ShownTable(["motion", "", "× noise", "all", *channels], rows, f"k - n nb{' n' * len(channels)}", "tight", marks)
@@ -347,17 +346,16 @@ def _visible(d: Diagnosis, views: Views) -> ShownSection:
     return ShownSection("What these motions could show at all", parts, "What could be seen")
 
 
-def _noise_floor(d: Diagnosis, views: Views) -> ShownSection:
+def _noise_floor(d: Diagnosis) -> ShownSection:
     white, spread = d.data.floor_source == WHITE, d.search.dispersion
     more = (
         f" All models together leave {number(float(np.sqrt(spread)), 3)} times that: what nothing explains counts as noise, "
         "and widens all intervals and thresholds." if spread > 1.05 else ""
     )  # fmt: skip
-    rows = [
-        [n.channel, number(n.sample, 3), number(n.sensor, 3), number(n.encoders, 3),
-         number(float(np.hypot(n.sensor, n.encoders)), 3), n.unit]
-        for n in views.noise
-    ]  # fmt: skip
+    sample, sensor, encoders = figures.noise_parts(d.data)
+    sizes = np.transpose([sample, sensor, encoders, np.hypot(sensor, encoders)]).tolist()
+    names = zip(d.data.channels.names, d.data.channels.units, strict=True)
+    rows = [[name, *(number(x, 3) for x in each), unit] for (name, unit), each in zip(names, sizes, strict=True)]
     grows = "" if d.data.poses else "; it grows steeply with frequency"
     sides = ("sensor", "encoders") if white else ("white part", "beyond it")
     head = ["channel", "sensor, one sample", *(f"{side}, in the band" for side in sides), "floor, in the band", "unit"]

@@ -70,9 +70,9 @@ def residual_maps(views: Views, channels: Sequence[str], poses: bool) -> Figure:
     panels, changed, count = views.panels, views.changed, len(channels)
     sides = 2 if changed else 1
     widths = [2.0] * sides + ([] if poses else [0.55 * sides + 0.25])
+    # Below panels there are numbers and the title of the next one, below the last one bands.
     figure, axes = make_grid(len(panels), len(widths), 0.17 * count + 0.35, left=0.65, right=1.15, gap=0.5, top=0.35,
-                             width_ratios=widths)  # fmt: skip
-    _spread(figure, len(panels), 0.17 * count + 0.35)
+                             space=0.52, bottom=0.85, width_ratios=widths)  # fmt: skip
     top = max([_TOP, *(float(np.nanmax(ratio)) for p in panels for _, ratio, _ in p.pieces)])
     scale = LogNorm(1.0, top)
     middle, rows = np.arange(count), np.arange(count + 1) - 0.5
@@ -122,14 +122,6 @@ def _by_frequency(ax: Any, banded: np.ndarray, lowest: bool, changed: bool, scal
     titles = {"left": "before", "right": "after"} if changed else {"center": "by frequency"}
     for side, text in titles.items():
         ax.set_title(text, loc=side)
-
-
-def _spread(figure: Figure, rows: int, height: float) -> None:
-    """More room between panels, for numbers below one and the title of the next, and below the last."""
-    top, space, bottom = 0.35, 0.52, 0.85
-    total = top + rows * height + (rows - 1) * space + bottom
-    figure.set_size_inches(figure.get_size_inches()[0], total)
-    figure.subplots_adjust(top=1.0 - top / total, bottom=bottom / total, hspace=space / height)
 
 
 @styled
@@ -305,26 +297,12 @@ class SignalView:
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
-    """Where the noise floor of a channel comes from."""
-
-    #: What is shown.
-    channel: str
-    unit: str
-    sample: float  # standard deviation of the sensor's noise in one sample
-    #: What of it, and of the encoders' noise in the prediction, falls into the band that is compared.
-    sensor: float
-    encoders: float
-
-
-@dataclass(frozen=True, eq=False)
 class Views:
     """All that the report shows beside the diagnosis itself."""
 
     #: What each picture shows, see their classes.
     panels: tuple[ResidualPanel, ...]
     signals: tuple[SignalView, ...]
-    noise: tuple[Noise, ...]
     visible: tuple[Visible, ...]
     changed: bool  # whether a model other than the user's was fitted, so that there is an "after"
 
@@ -332,19 +310,15 @@ class Views:
 def diagnosis_views(diagnosis: Diagnosis) -> Views:
     """Evaluate both models on all recordings."""
     data, s = diagnosis.data, diagnosis.search
-    sides = []
-    for segments in (data.segments, data.unseen):
-        sides.append([residual_spectra(data, segments, fit) for fit in (s.base, s.best)] if segments else [[], []])
     pairs = [
-        (segment, np.stack([before, after], axis=-1), unseen)
-        for segments, (b, a), unseen in zip((data.segments, data.unseen), sides, (False, True), strict=True)
-        for segment, before, after in zip(segments, b, a, strict=True)
+        (segment, np.stack(both, axis=-1), unseen)
+        for segments, unseen in ((data.segments, False), (data.unseen, True)) if segments
+        for segment, *both in zip(segments, *(residual_spectra(data, segments, fit) for fit in (s.base, s.best)), strict=True)
     ]  # fmt: skip
     judged = [p for p in pairs if p[2]] or pairs
     return Views(
         panels=_panels(pairs, s.noise_level),
         signals=_signals(diagnosis, judged),
-        noise=_noise(diagnosis),
         visible=() if s.library is None else visible(s.library, s.dispersion),
         changed=s.best is not s.base and len(s.best.terms) > len(s.base.terms),
     )
@@ -408,15 +382,16 @@ def _signals(diagnosis: Diagnosis, judged: list[tuple[SpectralSegment, np.ndarra
     return tuple(out)
 
 
-def _noise(diagnosis: Diagnosis) -> tuple[Noise, ...]:
-    data = diagnosis.data
+def noise_parts(data: DiagnosisData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the noise floor of each channel comes from, as standard deviations (c,).
+
+    Of the sensor's noise in one sample, and of what of it, and of the encoders' noise in the prediction, falls into the band that
+    is compared.
+    """
     moving = [s for s in (*data.segments, *data.unseen) if not s.still or s.apart]
     sample = pose_noise(data) if moving[0].apart else quiet_noise([s.readings for s in moving])
     count = sum(len(s.times) for s in moving)
     band = np.sum([len(s.frequencies) * np.mean(s.weight(s.times) ** 2, axis=0) for s in moving], axis=0) / count
     total = np.sum([np.einsum("kcc->c", s.covariance) for s in moving], axis=0) / count
     sensor = sample**2 * band
-    return tuple(
-        Noise(name, unit, float(sample[c]), float(np.sqrt(sensor[c])), float(np.sqrt(max(total[c] - sensor[c], 0.0))))
-        for c, (name, unit) in enumerate(zip(data.channels.names, data.channels.units, strict=True))
-    )
+    return sample, np.sqrt(sensor), np.sqrt(np.maximum(total - sensor, 0.0))

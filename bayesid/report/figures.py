@@ -107,10 +107,12 @@ def to_svg(figure: Figure, name: str) -> str:
 
 
 def make_grid(
-    rows: int, columns: int, height: float, *, left: float = 0.7, right: float = 0.2, top: float = 0.5, gap: float = 0.75,
-    used: int | None = None, ax: Any = None, **options: Any,
+    rows: int, columns: int, height: float, *, left: float = 0.7, right: float = 0.2, top: float = 0.5, bottom: float = 0.45,
+    gap: float = 0.75, space: float = 0.33, used: int | None = None, ax: Any = None, **options: Any,
 ) -> tuple[Figure, np.ndarray]:  # fmt: skip
-    """A figure with panels of a height; margins in inches. An automatic layout would take most of a report's time.
+    """A figure with panels of a height; margins, gaps between columns and spaces between rows in inches.
+
+    An automatic layout would take most of a report's time.
 
     The user's own Axes ``ax``, row by row, are taken in place of a new figure; an `InputError` where they are fewer or more than
     panels. ``options`` go to ``subplots`` of a new one, of whose panels all but the first ``used`` are hidden.
@@ -124,7 +126,6 @@ def make_grid(
         if whole is None:
             raise InputError("ax was removed from its figure; give axes that are in one")
         return whole, np.array(given, object).reshape(rows, columns)
-    bottom, space = 0.45, 0.33
     total = top + rows * height + (rows - 1) * space + bottom
     figure = Drawing(figsize=(_WIDTH, total))
     width = (_WIDTH - left - right - (columns - 1) * gap) / columns
