@@ -13,6 +13,7 @@ from html import escape
 from typing import TypeAlias
 
 _LONGEST_LABEL = 90
+_WIDEST = 60  # first column of a table in a terminal
 #: What a letter of `ShownTable.columns` stands for in the style sheet.
 _STYLES = {"n": "n", "k": "k", "w": "w", "b": "sure", "d": "dim"}
 #: Text, or text and the style of this cell alone, such as ``good`` or ``bad``.
@@ -42,7 +43,8 @@ class ShownTable:
         raised = ["u" in letter for letter in self._letters]
         plain = [[cell if isinstance(cell, str) else cell[0] for cell in row] for row in self.rows]
         rows = [[powers(text) if u else text for text, u in zip(row, raised, strict=True)] for row in plain]
-        cells = [list(self.head), *([_cut(row[0]), *row[1:]] for row in rows)]
+        cut = [[row[0] if len(row[0]) <= _WIDEST else f"{row[0][: _WIDEST - 2]} …", *row[1:]] for row in rows]
+        cells = [list(self.head), *cut]
         first, *others = (max(map(len, column)) for column in zip(*cells, strict=True))
         lines = [[row[0].ljust(first), *(c.rjust(w) for c, w in zip(row[1:], others, strict=True))] for row in cells]
         return [f"  {'  '.join(line)}".rstrip() for line in lines]
@@ -153,7 +155,3 @@ def powers(text: str) -> str:
 
 def _element(tag: str, style: str, content: str) -> str:
     return f'<{tag} class="{style}">{content}</{tag}>' if style else f"<{tag}>{content}</{tag}>"
-
-
-def _cut(text: str, width: int = 60) -> str:
-    return text if len(text) <= width else text[: width - 2] + " …"

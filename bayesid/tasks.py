@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib
 import itertools
 import logging
@@ -83,7 +84,15 @@ def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterato
 @contextlib.contextmanager
 def local_cluster(workers: int) -> Iterator[str]:
     """The address of a Dask cluster of so many processes on this machine, which end with the context."""
-    with _settings():
+    settings = {
+        "distributed.scheduler.allowed-failures": _LOST,
+        "distributed.worker.multiprocessing-method": "spawn",
+        "distributed.worker.daemon": True,
+        "distributed.comm.timeouts.connect": "5s",
+        # Without what Dask sets for memory: giving every array back to the system at once doubles the work.
+        "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1, "MKL_NUM_THREADS": 1},
+    }
+    with importlib.import_module("dask").config.set(settings):
         with _without_interrupts():
             local = _distributed().LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", memory_limit=0,
@@ -104,21 +113,6 @@ def _without_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def _settings() -> contextlib.AbstractContextManager:
-    """How the cluster of this process is set up."""
-    dask = importlib.import_module("dask")
-    return dask.config.set(
-        {
-            "distributed.scheduler.allowed-failures": _LOST,
-            "distributed.worker.multiprocessing-method": "spawn",
-            "distributed.worker.daemon": True,
-            "distributed.comm.timeouts.connect": "5s",
-            # Without what Dask sets for memory: giving every array back to the system at once doubles the work.
-            "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1, "MKL_NUM_THREADS": 1},
-        }
-    )
 
 
 def _distributed() -> Any:
@@ -210,18 +204,11 @@ def fold(parts: Iterable[_A], add: Callable[[_A, _A], _A]) -> _A:
             level.append(part)
             if len(level) < ARITY:
                 break
-            part = _sum(level, add)
+            part = functools.reduce(add, level)
             level.clear()
         else:
             levels.append([part])
     rest: list[_A] = []
     for level in levels:
-        rest = [_sum([*level, *rest], add)] if level or rest else []
+        rest = [functools.reduce(add, [*level, *rest])] if level or rest else []
     return rest[0]
-
-
-def _sum(parts: list[_A], add: Callable[[_A, _A], _A]) -> _A:
-    total = parts[0]
-    for part in parts[1:]:
-        total = add(total, part)
-    return total

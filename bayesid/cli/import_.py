@@ -12,6 +12,7 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Sensor
 
 _numbers = numbers("write numbers with commas between, 0,0,0.1")
+_whole_numbers = numbers("write whole numbers with commas between, 0,3", kind=int)
 
 
 def _pairs(_context, parameter, value: tuple[str, ...]) -> dict[str, str]:
@@ -39,14 +40,6 @@ def _number_pairs(context, parameter, value: tuple[str, ...]) -> dict[str, float
         except ValueError:
             raise InputError(f"{parameter.opts[0]} {name}={given}: write a number") from None
     return out
-
-
-def _whole_numbers(context, parameter, value: str | None) -> list[int]:
-    found = numbers("write whole numbers with commas between, 0,3")(context, parameter, value) or ()
-    for number in found:
-        if not number.is_integer():
-            raise InputError(f"{parameter.opts[0]} {value}: write whole numbers with commas between, 0,3")
-    return [int(number) for number in found]
 
 
 @click.command(name="import")
@@ -108,7 +101,7 @@ def import_(
         progress("reading")
         imported = bayesid.read_recording(
             list(sources), urdf, validation=list(validation), sensor=placed, join_files=join, topics=topics or (),
-            episodes=episodes, name=out.absolute().name, **given, **options,
+            episodes=episodes or (), name=out.absolute().name, **given, **options,
         )  # fmt: skip
         folder = imported.write(out)
     say(imported)

@@ -115,14 +115,14 @@ def names(_context, _parameter, value: str | None) -> list[str] | None:
     return None if value is None else [part.strip() for part in value.split(",") if part.strip()]
 
 
-def numbers(hint: str, count: int | None = None) -> Callable:
-    """Reads numbers that commas separate, so many where ``count`` is given; a complaint ends with the ``hint``."""
+def numbers(hint: str, count: int | None = None, kind: type[float] = float) -> Callable:
+    """Reads numbers of a kind that commas separate, so many where ``count`` is given; a complaint ends with the ``hint``."""
 
     def read(_context, parameter, value: str | None) -> tuple[float, ...] | None:
         if value is None:
             return None
         try:
-            found = tuple(map(float, value.split(",")))
+            found = tuple(map(kind, value.split(",")))
         except ValueError:
             found = ()
         if not found or count not in (None, len(found)):

@@ -73,9 +73,7 @@ class PlotsPredictions(Plots):
         """
         return figures_of(self)["predictions"](_predicted(self, motion), channels, ax)
 
-    def plot(self, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
-        """Draw measured and predicted readings; as `plot_predictions`."""
-        return figures_of(self)["predictions"](_predicted(self, motion), channels, ax)
+    plot = plot_predictions
 
     def plot_residuals(self, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
         """Draw what was measured less what was predicted, in time and as a spectrum beside the noise; as `plot_predictions`.

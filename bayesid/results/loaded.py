@@ -24,7 +24,7 @@ from bayesid.posterior.convert import as_dataset, load_arviz
 from bayesid.posterior.result import predicted_rows
 from bayesid.results.comparison import Entry, HasEntries
 from bayesid.results.estimated import HasEstimate
-from bayesid.results.files import BESIDE
+from bayesid.results.files import BESIDE, WRITTEN
 from bayesid.results.frames import frame
 from bayesid.robot.prior import Prior, with_sizes
 from bayesid.robot.urdf import JointDynamics
@@ -37,14 +37,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
-#: Files that hold a result, and which one where they do not say it.
-DOCUMENTS = {
-    "estimate.json": "Identification", "comparison.json": "Comparison", "posterior.json": "ExperimentPosterior",
-    "diagnosis.json": "Diagnosis", "bounds.json": "ControllerBounds", "accuracy.json": "Accuracy",
-    "identifiability.json": "Identifiability", "excitation.json": "Excitation", "watch.json": "Watch",
-    "payload.json": "PayloadEstimate", "calibration.json": "Calibration", "check.json": "Inspection",
-    "export.json": "Exported",
-}  # fmt: skip
+#: Files that hold a result.
+DOCUMENTS = tuple(files[0] for files in WRITTEN.values())
 DRAWS = "posterior.nc"
 
 
@@ -413,7 +407,7 @@ def load(path: str | Path) -> Loaded:
         raise InputError(f"{file}: {error.strerror or error}; name a folder that bayesid wrote") from None
     except (ValueError, RecursionError) as error:
         raise InputError(f"{file}: cannot be read as JSON ({error}); run the verb again") from None
-    kind = document.get("result") or DOCUMENTS.get(file.name) if isinstance(document, dict) else None
+    kind = document.get("result") if isinstance(document, dict) else None
     if kind is None or not {"schema", "experiment"} <= document.keys():
         raise InputError(f"{file}: is no document of bayesid; name one of {', '.join(DOCUMENTS)} as a verb wrote it")
     printed = "\n".join(document.get("printed", ()))

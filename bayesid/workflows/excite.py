@@ -172,11 +172,9 @@ def _loads(experiment: Experiment, trajectory: Trajectory) -> dict[str, tuple[tu
     robot = experiment.robot
     if not states_masses(robot):
         return {}
-    kinds = ["torque"] + (["wrench"] if experiment.sensor is not None else [])
-    out = {}
-    for kind in kinds:
+    motion, out = (trajectory.positions, trajectory.velocities, trajectory.accelerations), {}
+    for kind in ("torque",) if experiment.sensor is None else ("torque", "wrench"):
         channels = make_channels(experiment, kind)
-        motion = trajectory.positions, trajectory.velocities, trajectory.accelerations
         values = Kernel.of(robot, channels).readings(*motion, robot.nominal) + channels.static_wrench
         out[kind] = channels.names, values
     return out

@@ -277,7 +277,7 @@ def test_what_is_no_result_is_refused(loaded, arm, tmp_path):
         (folder, "is an experiment, no result; give the folder that a verb wrote"),
         (tmp_path / "nowhere.json", "No such file"),
         (tmp_path, "holds no result of bayesid"),
-        (both, "holds estimate.json and comparison.json; name one of them"),
+        (both, "holds comparison.json and estimate.json; name one of them"),
         (tmp_path / "other.json", "is no document of bayesid"),
         (tmp_path / "broken.json", "cannot be read as JSON"),
         (folder / "robot.urdf", "name the folder, or its JSON or NetCDF file"),
