@@ -19,7 +19,7 @@ from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.importing.clock import lag
 from bayesid.recordings.importing.column_map import ColumnMap, load_column_map
-from bayesid.recordings.importing.found_columns import currents, stated_times
+from bayesid.recordings.importing.found_columns import currents, stated_times, where_torques_are
 from bayesid.recordings.importing.recording import Recording, joined_files, make_recording, read_source
 from bayesid.recordings.importing.signals import Signal
 from bayesid.recordings.importing.stream import Source, kind_of
@@ -345,7 +345,7 @@ def _check_readings(motions: Sequence[Motion], sensor: Sensor | None, recording:
                 )  # fmt: skip
             joints = recording.layout.joints
             measured = currents(recording.source.streams, len(joints))
-            said = f"name their columns ({argument('columns')}), or record them"
+            said = where_torques_are(recording.source.streams, len(joints))
             if measured:
                 said = (
                     f"{listed(measured, 4)} may be motor currents: {argument('columns')} tau={measured[0]}, {argument('units')} "

@@ -384,6 +384,14 @@ def currents(streams: Sequence[Stream], count: int) -> list[str]:
     return [name for name, words in named if words & _CURRENT and not words & _COMMAND]
 
 
+def where_torques_are(streams: Sequence[Stream], count: int) -> str:
+    """What would tell where the torques of so many joints are, by what there is."""
+    called = [name for name, size in _groups(streams).items() if size == count and _is_called(name, "tau")]
+    measured = [name for name in called if not _words_of(name) & _COMMAND]
+    example = f", such as tau={measured[0]}" if measured else ""
+    return f"name their columns ({argument('columns')}{example}), or record them; {_shown(streams, count, 'tau')}"
+
+
 def _words_of(name: str) -> set[str]:
     return set(re.split(r"[^a-z]+", name.lower()))
 

@@ -462,6 +462,13 @@ def test_torques_of_some_joints_under_our_own_names_are_read_as_a_folder_reads_t
         only(tmp_path / "log.csv", known, joints=JOINTS)
 
 
+def test_torques_that_are_not_found_are_asked_for_with_what_there_is(known, tmp_path):
+    np.savez(tmp_path / "log.npz", t=known.t, q=known.q, tau_command=known.tau, tau_measured=known.tau)
+    with pytest.raises(InputError, match=r"such as tau=tau_measured\[0:2\].*columns are: tau_command\[0:2\], tau_m"):
+        only(tmp_path / "log.npz", known, joints=JOINTS)
+    only(tmp_path / "log.npz", known, joints=JOINTS, columns={"tau": "tau_measured[0:2]"})
+
+
 def test_a_wrench_that_is_not_whole_is_missed_where_a_sensor_is_stated(known, tmp_path):
     frame = by_joint(known, time=known.t)
     frame[["fx", "fy", "fz", "mx", "my"]] = known.wrench[:, :5]
