@@ -64,9 +64,8 @@ class Run:
     @contextlib.contextmanager
     def resumable(self, name: str) -> Iterator[Path]:
         """The file beside the results that keeps an unfinished run; gone once that is done, named where it is interrupted."""
-        from bayesid.results.files import checkpoint_of
-
-        kept = checkpoint_of(self.folder(name))
+        folder = self.folder(name)
+        kept = folder.parent / f".{folder.name}-checkpoint.npz"
         try:
             yield kept
         except KeyboardInterrupt:

@@ -92,7 +92,7 @@ class Result(Plots, ABC):
         Numbers of the document that are not finite are written as null (`strict`).
         """
         document = {**strict(self.to_dict()), "result": type(self).__name__, "printed": str(self).splitlines()}
-        return write_results(folder, {WRITTEN[self.verb][0]: document}, self._beside(), report_of(self))
+        return write_results(folder, WRITTEN[self.verb][0], document, self._beside(), report_of(self))
 
 
 class ShownResult(Result):
@@ -143,36 +143,30 @@ def check_output(folder: str | Path, verb: str = "") -> Path:
     return folder
 
 
-def checkpoint_of(folder: str | Path) -> Path:
-    """Where a run that will be written into a folder keeps its unfinished state: beside it, hidden."""
-    folder = check_output(folder)
-    return folder.parent / f".{folder.name}-checkpoint.npz"
+def write_results(folder: str | Path, name: str, document: Mapping[str, Any], files: Files, report: str) -> Path:
+    """Write a JSON document, other files and the report, whose path is returned; they appear together or not at all.
 
-
-def write_results(folder: str | Path, documents: Mapping[str, Any], files: Files, report: str) -> Path:
-    """Write JSON documents, other files and the report, whose path is returned; they appear together or not at all.
-
-    Every document gets a key ``files``: the SHA-256 of each other file written with it. By that a later run knows which files
-    are an earlier one's, and may be replaced; those of the same documents that it does not make are removed. ``documents``
-    are by file name, in which numbers that are not finite are refused. An `InputError` where the folder cannot be written, or a
-    file of the user's own would be replaced; a warning where one is replaced that belongs to other documents there.
+    The document gets a key ``files``: the SHA-256 of each other file written with it. By that a later run knows which files are
+    an earlier one's, and may be replaced; those of a document of the same ``name`` that it does not make are removed. Numbers of
+    the document that are not finite are refused. An `InputError` where the folder cannot be written, or a file of the user's own
+    would be replaced; a warning where one is replaced that belongs to another document there.
     """
-    folder = check_output(folder)
-    _check_ours(folder, (*documents, *files, REPORT))
-    others = sorted(path.name for path in folder.glob("*.json") if path.name not in documents and _document(path) is not None)
-    lost = [name for name in (*files, REPORT) if name in {path.name for path in _unchanged_files(folder, others)}]
-    left_over = [path for path in _unchanged_files(folder, documents) if path.name not in (*documents, *files, REPORT)]
+    folder, every = check_output(folder), (name, *files, REPORT)
+    _check_ours(folder, every)
+    others = sorted(path.name for path in folder.glob("*.json") if path.name != name and _document(path) is not None)
+    theirs = {path.name for path in _unchanged_files(folder, others)}
+    lost = [file for file in (*files, REPORT) if file in theirs]
+    left_over = [path for path in _unchanged_files(folder, [name]) if path.name not in every]
     try:
         with whole_folder(folder) as made:
-            for name, write in files.items():
+            for file, write in files.items():
                 if isinstance(write, str):
-                    (made / name).write_text(write, encoding="utf-8")
+                    (made / file).write_text(write, encoding="utf-8")
                 else:
-                    write(made / name)
+                    write(made / file)
             (made / REPORT).write_text(report, encoding="utf-8")
-            hashes = {name: _hash(made / name) for name in (*files, REPORT)}
-            for name, document in documents.items():
-                _write_document(made / name, {**document, "files": hashes})
+            hashes = {file: _hash(made / file) for file in (*files, REPORT)}
+            _write_document(made / name, {**document, "files": hashes})
         for path in left_over:  # such as a draft of what is explained now
             path.unlink(missing_ok=True)
     except OSError as error:
@@ -185,14 +179,15 @@ def write_results(folder: str | Path, documents: Mapping[str, Any], files: Files
     return folder / REPORT
 
 
-def read_document(path: Path, option: str) -> dict[str, Any]:
-    """A JSON document that an earlier run wrote; ``option`` is where the user named it, for messages."""
+def read_document(path: Path) -> dict[str, Any]:
+    """A JSON document that an earlier run wrote, named by the user as ``estimate``."""
+    named = f"{argument('estimate')} {path}"
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{option} {path}: cannot be read as JSON ({error}); name a file that bayesid wrote") from None
+        raise InputError(f"{named}: cannot be read as JSON ({error}); name a file that bayesid wrote") from None
     if not (isinstance(document, dict) and {"schema", "experiment"} <= document.keys()):
-        raise InputError(f"{option} {path}: is no document of bayesid; name the estimate.json of a run of identify")
+        raise InputError(f"{named}: is no document of bayesid; name the estimate.json of a run of identify")
     return document
 
 
@@ -201,7 +196,7 @@ def amend(path: Path, added: Mapping[str, Any], report: Callable[[str], str]) ->
 
     Returns whether the report was still as it was written, and was changed, too.
     """
-    document = read_document(path, argument("estimate"))
+    document = read_document(path)
     page, hashes = path.parent / REPORT, dict(document.get("files") or {})
     ours = page.is_file() and hashes.get(REPORT) == _hash(page)
     with whole_folder(path.parent) as made:
@@ -234,7 +229,7 @@ def _check_ours(folder: Path, names: Iterable[str]) -> None:
 def _document(path: Path) -> dict | None:
     """A document of an earlier run; None if it is none, or cannot be read."""
     try:
-        return read_document(path, "")
+        return read_document(path)
     except InputError:
         return None
 

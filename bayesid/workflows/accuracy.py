@@ -134,7 +134,7 @@ def check_estimate(path: str | Path, experiment: Experiment, method: Estimator |
     """
     path = Path(path)
     path = path / "estimate.json" if path.is_dir() else path
-    document = read_document(path, argument("estimate"))
+    document = read_document(path)
     method = estimator(str(document.get("method"))) if method is None else method
     for key, own in (("experiment", experiment.name), ("method", method.name)):
         if document.get(key) != own:
@@ -148,7 +148,7 @@ def add_certificate(path: Path, result: Accuracy) -> bool:
     """Write a certificate into its own ``estimate.json`` and report; whether the report was as written, and changed, too."""
     found, base = result.certificate, result.bench.problem.row_model.base
     assert found is not None
-    listed = read_document(path, argument("estimate")).get("base_parameters", ())
+    listed = read_document(path).get("base_parameters", ())
     values = {p["name"]: p["value"] for p in listed}
     own = dict(zip(found.names, result.bench.estimate.values, strict=True))
     scale = dict(zip(found.names, np.nan_to_num(result.std), strict=True))

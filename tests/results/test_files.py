@@ -21,9 +21,8 @@ from tests.simulated import experiment, puma2
 def write(folder: Path, number: int) -> Path:
     document = {"schema": 1, "experiment": "arm", "number": number}
     text = f"[model] # {number}\n"
-    return write_results(
-        folder, {"diagnosis.json": document}, {"model.toml": lambda p: p.write_text(text)}, f"<html>{number}</html>"
-    )
+    files = {"model.toml": lambda p: p.write_text(text)}
+    return write_results(folder, "diagnosis.json", document, files, f"<html>{number}</html>")
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -45,7 +44,7 @@ def test_what_the_new_run_does_not_make_goes_unless_the_user_changed_it(tmp_path
 
     def run(*names: str) -> None:
         made = {name: lambda p, name=name: p.write_text(name) for name in names}
-        write_results(tmp_path, {"diagnosis.json": {"schema": 1, "experiment": "arm"}}, made, "<html></html>")
+        write_results(tmp_path, "diagnosis.json", {"schema": 1, "experiment": "arm"}, made, "<html></html>")
 
     run("model.toml", "draft_effect.toml", "next_motion.csv")
     (tmp_path / "next_motion.csv").write_text("mine now")
@@ -53,7 +52,7 @@ def test_what_the_new_run_does_not_make_goes_unless_the_user_changed_it(tmp_path
     assert sorted(contents(tmp_path)) == ["diagnosis.json", "model.toml", "next_motion.csv", "report.html"]
     run("model.toml", "draft_effect.toml")
     with pytest.warns(bayesid.BayesidWarning, match="^report.html of diagnosis.json in .* is replaced; give every verb a folder"):
-        write_results(tmp_path, {"estimate.json": {"schema": 1, "experiment": "arm"}}, {}, "<html></html>")
+        write_results(tmp_path, "estimate.json", {"schema": 1, "experiment": "arm"}, {}, "<html></html>")
     assert "draft_effect.toml" in contents(tmp_path)  # of another verb's run, which stays
 
 
@@ -97,7 +96,7 @@ def test_a_failure_while_writing_leaves_all_as_it_was(existing, error, tmp_path)
 
     document = {"schema": 1, "experiment": "arm"}
     with pytest.raises((InputError, KeyboardInterrupt)):
-        write_results(out, {"diagnosis.json": document}, {"model.toml": fail}, "<html>2</html>")
+        write_results(out, "diagnosis.json", document, {"model.toml": fail}, "<html>2</html>")
     if existing:
         assert contents(out) == before
     else:
@@ -172,7 +171,7 @@ def test_what_a_killed_run_left_is_put_right(tmp_path, monkeypatch):
 
 def test_numbers_that_are_not_finite_are_refused(tmp_path):
     with pytest.raises(ValueError, match="JSON"):
-        write_results(tmp_path / "out", {"a.json": {"x": float("inf")}}, {}, "")
+        write_results(tmp_path / "out", "a.json", {"x": float("inf")}, {}, "")
     assert list(tmp_path.iterdir()) == []
 
 
