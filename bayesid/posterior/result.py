@@ -129,7 +129,7 @@ class Posterior(Plots, HasParameters):
     @property
     def covariance(self) -> np.ndarray:
         """Posterior covariance of the base parameters (r, r)."""
-        return np.atleast_2d(np.cov(self.base_draws.reshape(-1, self.base.rank).T))
+        return moments(self.base_draws)[2]
 
     @property
     def low(self) -> np.ndarray:
@@ -348,6 +348,12 @@ class Posterior(Plots, HasParameters):
     def _repr_html_(self) -> str:
         """The same as an HTML table for notebooks."""
         return as_html([*conflicts(self.prior_check), self.parameters().table("posterior")])
+
+
+def moments(draws: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Draws (chains, draws, k) one below the other (n, k), their mean (k,) and covariance (k, k)."""
+    flat = draws.reshape(-1, draws.shape[-1])
+    return flat, flat.mean(axis=0), np.atleast_2d(np.cov(flat.T))
 
 
 def predicted_rows(rows: str | None, known: Sequence[str]) -> str:

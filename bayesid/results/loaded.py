@@ -21,7 +21,7 @@ from bayesid.estimators import Estimate
 from bayesid.estimators.estimator import CustomDetails, Details
 from bayesid.estimators.parameters import HasParameters, Parameters, central_interval, tails
 from bayesid.posterior.convert import as_dataset, load_arviz
-from bayesid.posterior.result import predicted_rows
+from bayesid.posterior.result import moments, predicted_rows
 from bayesid.results.comparison import Entry, HasEntries
 from bayesid.results.estimated import HasEstimate
 from bayesid.results.files import BESIDE, WRITTEN
@@ -112,8 +112,12 @@ class Loaded(Plots):
         return f"<pre>{escape(str(self))}</pre>"
 
 
-class _WithPredictions(Loaded):
-    """A result read back that holds errors of predictions."""
+class _WithModel(Loaded):
+    """A result read back that holds the effects of its model, and errors of predictions by it."""
+
+    def effects(self) -> list[dict[str, Any]]:
+        """Every effect of the model with values, standard deviations and units of its parameters."""
+        return self._held("effects", "effects")
 
     @property
     def fitted(self) -> tuple[Prediction, ...]:
@@ -124,14 +128,6 @@ class _WithPredictions(Loaded):
     def validation(self) -> tuple[Prediction, ...]:
         """Errors of the motions that were not fitted."""
         return _predictions(self._held("validation", "validation"))
-
-
-class _WithEffects(Loaded):
-    """A result read back whose effects are asked for by a method, as those of the result are."""
-
-    def effects(self) -> list[dict[str, Any]]:
-        """Every effect of the model with values, standard deviations and units of its parameters."""
-        return self._held("effects", "effects")
 
 
 def _column(key: str, text: str) -> Any:
@@ -158,7 +154,7 @@ class _WithParameters(Loaded):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedIdentification(HasEstimate, _WithEffects, _WithPredictions):
+class LoadedIdentification(HasEstimate, _WithModel):
     """What `bayesid.identify` found, read back: names, values, intervals, errors of predictions, links."""
 
     report = "fit_figures"
@@ -245,7 +241,7 @@ class LoadedComparison(HasEntries, Loaded):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedPosterior(HasParameters, _WithEffects, _WithParameters, _WithPredictions):
+class LoadedPosterior(HasParameters, _WithParameters, _WithModel):
     """What `bayesid.sample` found, read back: draws of ``posterior.nc``, summaries of ``posterior.json``."""
 
     report = "posterior"
@@ -455,7 +451,7 @@ def _of_draws(file: Path) -> dict[str, Any]:
     return {
         **{key: value for key, value in group.attrs.items() if isinstance(value, (str, int, float))},
         "experiment": None, "base_parameters": entries("base"), "effect_parameters": entries("effect"),
-        "covariance": np.atleast_2d(np.cov(draws.reshape(-1, draws.shape[-1]).T)).tolist(),
+        "covariance": moments(draws)[2].tolist(),
     }  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.estimators.parameters import Parameters, central_interval, tails
 from bayesid.posterior.convert import write_netcdf
-from bayesid.posterior.result import Posterior
+from bayesid.posterior.result import Posterior, moments
 from bayesid.regression.problem import Problem, weight_columns
 from bayesid.results.estimated import PlotsPredictions
 from bayesid.results.files import SCHEMA, Files, Result
@@ -52,10 +52,8 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
 
     def predict(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None) -> PredictedReadings:
         """Readings of any motion by the posterior's mean, with the 95 % band of its covariance; as `Identification.predict`."""
-        columns = self.columns.reshape(-1, self.columns.shape[-1])
-        nothing = np.zeros(columns.shape[1], bool)
-        covariance = np.atleast_2d(np.cov(columns.T))
-        return predict_readings(self.problem, columns.mean(axis=0), covariance, nothing, q, v, a, times)
+        _, mean, covariance = moments(self.columns)
+        return predict_readings(self.problem, mean, covariance, np.zeros(len(mean), bool), q, v, a, times)
 
     @property
     def own_effect_draws(self) -> np.ndarray:

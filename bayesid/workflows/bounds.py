@@ -19,7 +19,7 @@ from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects import MotionSegment
 from bayesid.errors import InputError
 from bayesid.estimators import Estimator
-from bayesid.posterior.result import Posterior
+from bayesid.posterior.result import Posterior, moments
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, fit_options
@@ -326,11 +326,10 @@ def _known_of_draws(
     urdf: np.ndarray | None, rel_std: float | None, dispersion: float, seed: int,
 ) -> Known:  # fmt: skip
     """What is known after a posterior, by draws of links (chains, draws, P) and of their prior (m, P)."""
-    draws = np.concatenate([posterior.base_draws, posterior.effect_draws], axis=-1)
-    draws = draws.reshape(-1, draws.shape[-1])
-    nothing, mean, rank = np.zeros(draws.shape[1], bool), draws.mean(axis=0), problem.row_model.base.rank
+    draws, mean, covariance = moments(np.concatenate([posterior.base_draws, posterior.effect_draws], axis=-1))
+    nothing, rank = np.zeros(len(mean), bool), problem.row_model.base.rank
     known = known_from(
-        problem, source="posterior", method=method, mean=mean, covariance=np.atleast_2d(np.cov(draws.T)), undetermined=nothing,
+        problem, source="posterior", method=method, mean=mean, covariance=covariance, undetermined=nothing,
         draws=draws, urdf=urdf, link_draws=None if links is None else links.reshape(-1, links.shape[-1]), prior_draws=prior,
         rel_std=rel_std, dispersion=dispersion, count=DRAWS, seed=seed,
     )  # fmt: skip

@@ -15,6 +15,7 @@ from bayesid.arguments import argument, call
 from bayesid.effects.built_in import CLASSES
 from bayesid.effects.families import SensorEffect
 from bayesid.errors import InputError
+from bayesid.posterior.result import moments
 from bayesid.recordings.complaints import listed
 from bayesid.results.export.identified import FoundEffect, IdentifiedRobot, draws_of, randomisation
 from bayesid.results.export.inverse_dynamics import inverse_dynamics, source_code
@@ -154,14 +155,12 @@ def _of_draws(result: ExperimentPosterior | LoadedPosterior) -> IdentifiedRobot:
         names, links = result.model.effect_names, links if result.model.physical else None
     else:
         names = tuple(p["name"] for p in result.document["effect_parameters"])
-    columns = np.concatenate([result.base_draws, result.own_effect_draws], axis=-1)
-    columns = columns.reshape(-1, columns.shape[-1])  # base parameters there always are
+    columns, mean, covariance = moments(np.concatenate([result.base_draws, result.own_effect_draws], axis=-1))
     if links is not None:
         links = links.reshape(-1, links.shape[-1])
-    mean = columns.mean(axis=0)
     return IdentifiedRobot(
         **about, method="sample", base=result.base, effect_names=names, solution=mean,
-        covariance=np.atleast_2d(np.cov(columns.T)), undetermined=np.zeros(len(mean), bool),
+        covariance=covariance, undetermined=np.zeros(len(mean), bool),
         links=None if links is None else links.mean(axis=0), dynamics=None, link_draws=links,
         effect_draws=None if links is None else columns[:, result.base.rank :],
     )  # fmt: skip

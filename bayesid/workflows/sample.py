@@ -18,7 +18,7 @@ from bayesid.estimators.estimator import largest_autocorrelation
 from bayesid.estimators.nonlinear import settled
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.predictive import predictive_groups
-from bayesid.posterior.result import PRIOR_DRIVEN, Posterior
+from bayesid.posterior.result import PRIOR_DRIVEN, Posterior, moments
 from bayesid.posterior.run import ConvergenceError, Sampler, choose_engine, run
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
@@ -232,9 +232,7 @@ def _with_predictions(
 def as_estimate(posterior: Posterior) -> Estimate:
     """The posterior's mean and covariance as an estimate, for predictions and comparisons."""
     model = posterior.model
-    columns = posterior.columns.reshape(-1, posterior.columns.shape[-1])
-    solution = columns.mean(axis=0)
-    covariance = np.atleast_2d(np.cov(columns.T))
+    _, solution, covariance = moments(posterior.columns)
     scales = np.sqrt(np.mean(posterior.noise_scales**2, axis=(0, 1)))
     if model.noise == "student":
         nu = model.split(posterior.chains.draws)[2]
