@@ -167,8 +167,8 @@ def regroup(
         matrix=matrix,
         independent=independent,
         parameter_names=tuple(names),
-        names=tuple(_combination(row, names) for row in matrix),
-        labels=tuple(_combination(row, notation(names)) for row in matrix),
+        names=tuple(combination(row, names) for row in matrix),
+        labels=tuple(combination(row, notation(names)) for row in matrix),
         units=tuple(units[k] for k in independent.tolist()),
         absorbed=absorbed if extra.shape[1] else None,
     )
@@ -209,7 +209,7 @@ def _order(name: str, position: int) -> tuple:
     return (kind == "m", position - position % 10, _PREFERENCE[kind])
 
 
-def _combination(row: np.ndarray, names: Sequence[str]) -> str:
+def combination(row: np.ndarray, names: Sequence[str]) -> str:
     """A sum such as ``joint1.mcz + 0.2435 joint2.m``; unit factors are left out."""
     text = ""
     for k in np.flatnonzero(row).tolist():

@@ -164,10 +164,7 @@ def ticks(low: float, high: float, most: int, whole: bool = False) -> np.ndarray
 
 def tick_labels(values: np.ndarray) -> tuple[list[tuple[float, str]], str]:
     """Numbers on an axis with their texts; where they are long or look alike, what is to be added to all of them, in words."""
-    if not len(values):
-        return [], ""
-    added = 0.0
-    texts = _texts(values)
+    added, texts = 0.0, _texts(values)
     if max(map(len, texts)) > _LONGEST_NUMBER or len(set(texts)) < len(texts):
         added = float(values[0])
         texts = _texts(values - added)

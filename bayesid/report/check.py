@@ -238,11 +238,9 @@ def _bandwidth(check: Inspection) -> str:
 def _joints(check: Inspection, units: Sequence[str]) -> ShownTable:
     robot, rows = check.experiment.robot, []
     for j, name in enumerate(robot.joint_names):
-        ends, largest = (robot.lower[j], robot.upper[j]), (robot.velocity_limit[j], robot.effort_limit[j])
-        kind = "sliding" if robot.prismatic[j] else "turning"
-        speed, effort = map(number, largest)
-        limits = [speed, f"{units[j]}/s", effort, _unit(f"tau{j + 1}", robot.prismatic)]
-        rows.append([f"q{j + 1}", name, kind, *map(number, ends), units[j], *limits])
+        low, high, speed, effort = (number(x[j]) for x in (robot.lower, robot.upper, robot.velocity_limit, robot.effort_limit))
+        kind, torque = "sliding" if robot.prismatic[j] else "turning", _unit(f"tau{j + 1}", robot.prismatic)
+        rows.append([f"q{j + 1}", name, kind, low, high, units[j], speed, f"{units[j]}/s", effort, torque])
     head = ["", "joint", "type", "lowest", "highest", "unit", "speed limit", "unit", "effort limit", "unit"]
     return ShownTable(head, rows, "- - - n n - n - n -")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -10,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from bayesid.drawing import Figures, figures_of
-from bayesid.dynamics.base_parameters import BaseParameters, notation
+from bayesid.dynamics.base_parameters import BaseParameters, combination, notation
+from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.recordings.complaints import listed
 from bayesid.regression.problem import Problem
 from bayesid.report.accuracy import certificate_section
@@ -574,11 +574,5 @@ def _by_body(names: Sequence[str]) -> list[str]:
 
 def _absorbed(base: BaseParameters) -> list[list[str]]:
     """What an estimated offset contains besides the true one, axis by axis."""
-    if base.absorbed is None:
-        return []
-    rows, names = [], notation(base.parameter_names)
-    for axis, row in zip(("fx", "fy", "fz", "mx", "my", "mz"), base.absorbed, strict=False):
-        parts = [f"{'-' if row[k] < 0 else '+'} {abs(row[k]):.4g} {names[k]}" for k in np.flatnonzero(row)]
-        if parts:
-            rows.append([axis, re.sub(r"^- ", "-", " ".join(parts).removeprefix("+ "))])
-    return rows
+    rows, names = () if base.absorbed is None else base.absorbed, notation(base.parameter_names)
+    return [[axis, combination(row, names)] for axis, row in zip(WRENCH_NAMES, rows, strict=False) if row.any()]

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayesid.drawing import Figures, figures_of
-from bayesid.posterior.result import Posterior
+from bayesid.posterior.result import PRIOR_DRIVEN, Posterior
 from bayesid.report.charts import CYCLE
 from bayesid.report.figures import CLASSES, GREY, NOISE, add_legend, make_grid, picked, styled
 from bayesid.report.fit_figures import measured_against_predicted, residuals
@@ -103,9 +103,9 @@ def narrowing(result: ExperimentPosterior) -> Figure:
     figure.subplots_adjust(hspace=0.85)
     for ax, (title, names, share) in zip(axes[:, 0], groups, strict=True):
         at = np.arange(len(share))
-        colours = [CLASSES["weak"] if s > _DRIVEN else CYCLE[0] for s in share]
+        colours = [CLASSES["weak"] if s > PRIOR_DRIVEN else CYCLE[0] for s in share]
         ax.bar(at, np.minimum(share, 1.1), width=0.75, color=colours, lw=0)
-        ax.axhline(_DRIVEN, color=CLASSES["weak"], lw=0.9, ls="--")
+        ax.axhline(PRIOR_DRIVEN, color=CLASSES["weak"], lw=0.9, ls="--")
         ax.axhline(1.0, color=GREY, lw=0.8)
         ax.set(xlim=(-0.7, len(share) - 0.3), ylim=(0.0, 1.12), title=title, ylabel="posterior / prior std")
         ax.set_xticks(at, names, rotation=90, fontsize=6 if len(share) > 45 else 7)
@@ -139,7 +139,6 @@ def ranks(result: ExperimentPosterior) -> Figure:
 _SHOWN_MOTIONS = 3
 _RANKED = 4
 _PRIOR_DRAWS = 4000
-_DRIVEN = 0.9
 
 
 @report_of.register
@@ -195,7 +194,7 @@ def marginals_figure(result: Posterior, ax: Any = None) -> Figure:
 def _lead(result: ExperimentPosterior) -> str:
     rank, d = result.base.rank, result.diagnosis
     draws = int(np.prod(result.chains.draws.shape[:2]))
-    driven = int(np.sum(result.prior_share > _DRIVEN))
+    driven = int(np.sum(result.prior_share > PRIOR_DRIVEN))
     text = f"{draws} draws of {rank} base parameters" + ("" if result.link_draws is None else " and of the links behind them")
     text += f" from {result.chains.draws.shape[0]} independent chains, which "
     text += "agree. " if d.passed else "do NOT agree: the draws are not to be used as a posterior. "

@@ -134,19 +134,18 @@ class Diagnosis(ShownResult):
         if self.verdict == "unknown" and self.search.found:
             lines.append(f"best attempt: {', '.join(by_kind(f.term for f in self.search.found))}")
         lines += self._shown_places()
-        if self.description is not None:
-            lines += described_lines(self.description, self.data.channels.names)
         lines += [f"note: {r}" for r in notes(self)]
         if self.next_experiment:
             lines.append(f"next: {self.next_experiment}")
         return lines
 
     def _shown_places(self) -> list[str]:
-        """Where model and data disagree, or of effects named in part where something stays, the first few places."""
+        """Where model and data disagree, or of effects named in part what stays, the first few places; and what describes it."""
         word = "unexplained" if self.verdict == "nothing_missing" else "stays" if self.part is not None else "disagrees"
         places = self.where if self.part is None else self.remainder
         lines = [f"{word}: {disagreement_line(w, poses=self.data.poses)}" for w in places[:_SHOWN]]
-        return lines + ([f"and in {len(places) - _SHOWN} more places"] if len(places) > _SHOWN else [])
+        lines += [f"and in {len(places) - _SHOWN} more places"] if len(places) > _SHOWN else []
+        return lines + ([] if self.description is None else described_lines(self.description, self.data.channels.names))
 
     def _repr_html_(self) -> str:
         """The same for notebooks, values as a table."""
@@ -155,10 +154,7 @@ class Diagnosis(ShownResult):
         if self.found:
             rows = [row for k in range(len(self.found)) for row in effect_rows(self, k)]
             parts.append(ShownTable(["effect", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n ku"))
-        parts += self._shown_places()
-        if self.description is not None:
-            parts += described_lines(self.description, self.data.channels.names)
-        return as_html([*parts, *notes(self), self.next_experiment])
+        return as_html([*parts, *self._shown_places(), *notes(self), self.next_experiment])
 
     @property
     def terms(self) -> tuple[Term, ...]:

@@ -58,17 +58,9 @@ def _quantities(document: _Document, groups: tuple[str, ...]) -> Iterator[dict[s
                 yield {"quantity": group, "parameter": name, **number}
 
 
-def _payload(document: _Document) -> Iterator[dict[str, Any]]:
-    return _quantities(document, ("mass", "centre_of_mass", "first_moment", "inertia"))
-
-
 def _calibration(document: _Document) -> Iterator[dict[str, Any]]:
     yield from ({"quantity": f"{row['name']}@{row['where']}", **row} for row in _effects(document))
     yield from _quantities(document, ("mass", "centre_of_mass", "common_gain"))
-
-
-def _forms(document: _Document) -> Iterator[dict[str, Any]]:
-    yield from ({"to": form, "about": document["about"].get(form)} for form in document["to"])
 
 
 _FOUND = ("name", "where", "parameter", "value", "std", "unit", "probability", "share", "share_low")
@@ -92,9 +84,14 @@ _TABLES: dict[str, tuple[tuple[str, ...], Callable[[_Document], Iterator[Mapping
         ("true", "other", "noncentrality", "log_bayes_factor", "log_bayes_factor_std", "probability"),
         lambda document: iter(document["tell"]["pairs"]),
     ),
-    "PayloadEstimate": (("quantity", "parameter", *_QUANTITY, "shown"), _payload),
+    "PayloadEstimate": (
+        ("quantity", "parameter", *_QUANTITY, "shown"),
+        lambda document: _quantities(document, ("mass", "centre_of_mass", "first_moment", "inertia")),
+    ),
     "Calibration": (("quantity", "parameter", *_QUANTITY), _calibration),
-    "Exported": (("to", "about"), _forms),
+    "Exported": (
+        ("to", "about"), lambda document: ({"to": form, "about": document["about"].get(form)} for form in document["to"]),
+    ),
 }  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from bayesid.dynamics.base_parameters import structural_base
 from bayesid.errors import BayesidError, InputError
 from bayesid.recordings.experiment import Experiment, Motion, as_experiment
 from bayesid.recordings.motion_checks import Timing
-from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table
+from bayesid.recordings.table import WRENCH_COLUMNS, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import prepare
@@ -124,14 +125,14 @@ def noise_at_rest(motion: Motion) -> dict[str, float]:
 
 def _summary(motion: Motion, bandwidth: float | None) -> MotionSummary:
     table, poses = motion.table, motion.kind == "poses"
-    step = np.diff(table.times)
-    at = [] if poses or not len(step) else np.flatnonzero(step > GAP * table.step)
+    timed = not poses and len(table) > 1
+    pieces = table.segments() if timed else []
     columns = tuple(short for field, short in _GROUPS.items() if getattr(table, field) is not None)
     return MotionSummary(
         motion=motion,
-        gaps=tuple((float(table.times[k]), float(table.times[k + 1])) for k in at),
-        timing=None if poses or not len(step) else Timing.of(table),
-        rate=np.nan if poses or not len(step) else 1.0 / table.step,
+        gaps=tuple((float(table.times[a.stop - 1]), float(table.times[b.start])) for a, b in pairwise(pieces)),
+        timing=Timing.of(table) if timed else None,
+        rate=1.0 / table.step if timed else np.nan,
         columns=columns,
         lowest=table.positions.min(axis=0),
         highest=table.positions.max(axis=0),
