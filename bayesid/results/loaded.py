@@ -268,6 +268,11 @@ class LoadedPosterior(HasParameters, _WithParameters, _WithModel):
         return self.to_arviz()["posterior"]
 
     @property
+    def physical(self) -> bool:
+        """Whether the draws are of links that can exist."""
+        return "bodies that can exist only" in self.document["prior"]
+
+    @property
     def base_draws(self) -> np.ndarray:
         """Draws of the base parameters (chains, draws, r)."""
         return self._drawn("base")

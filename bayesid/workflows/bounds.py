@@ -306,16 +306,20 @@ def _known_of_loaded(
         )
     if isinstance(found, LoadedPosterior):
         prior, links, rel_std = None, None, prior_std or document["inertia_rel_std"]
-        if "bodies that can exist only" in document["prior"] and rel_std:
+        if found.physical and rel_std:
             if (links := found.link_draws) is None:
                 raise KeyError("link")
             prior = prior_links(base, problem.regression.knowledge.prior(rel_std), PRIOR_DRAWS, seed)
         method = f"{'flat' if document['prior'].startswith('flat') else 'nominal'} prior, {document['noise']} noise"
         return _known_of_draws(problem, found, method, links, prior, None, rel_std, float(document["dispersion"]), seed)
-    e = found.estimate
+    e, links = found.estimate, found.link_parameters
+    if document["identified_urdf"]["moved"] is None:  # the estimator's own
+        centre = links
+    else:
+        centre = nearest_links(experiment.robot, base, e.values, ~e.undetermined[: base.rank])
     return known_from(
         problem, source="estimate", method=e.method, mean=e.solution, covariance=e.full_covariance, undetermined=e.undetermined,
-        centre=nearest_links(experiment.robot, base, e.values, ~e.undetermined[: base.rank]), urdf=found.link_parameters,
+        centre=centre, urdf=links,
         dynamics=found.dynamics, rel_std=prior_std, conflict=bool((document["prior_against_data"] or {}).get("conflict")),
         dispersion=e.details.dispersion or 1.0, floor=noise_floor(problem), count=DRAWS, seed=seed,
     )  # fmt: skip

@@ -152,12 +152,11 @@ def _about(result: Identification | ExperimentPosterior | LoadedIdentification |
 def _of_draws(result: ExperimentPosterior | LoadedPosterior) -> IdentifiedRobot:
     about, links = _about(result), result.link_draws
     if isinstance(result, ExperimentPosterior):
-        names, links = result.model.effect_names, links if result.model.physical else None
+        names, physical = result.model.effect_names, result.model.physical
     else:
-        names = tuple(p["name"] for p in result.document["effect_parameters"])
+        names, physical = tuple(p["name"] for p in result.document["effect_parameters"]), result.physical
     columns, mean, covariance = moments(np.concatenate([result.base_draws, result.own_effect_draws], axis=-1))
-    if links is not None:
-        links = links.reshape(-1, links.shape[-1])
+    links = links.reshape(-1, links.shape[-1]) if links is not None and physical else None
     return IdentifiedRobot(
         **about, method="sample", base=result.base, effect_names=names, solution=mean,
         covariance=covariance, undetermined=np.zeros(len(mean), bool),

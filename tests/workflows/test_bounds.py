@@ -180,6 +180,14 @@ def test_a_run_that_was_made_is_read_back(folder, runs):
         np.testing.assert_allclose(read.trained[0], direct.trained[0], rtol=1e-2)
 
 
+def test_links_of_the_estimator_are_read_back(folder, tmp_path):
+    made = bayesid.identify(folder / "arm", method="sdp", effects="sensor_offset", static="joint")
+    made.write(tmp_path / "sdp")
+    read = bayesid.bounds(folder / "arm", run=tmp_path / "sdp", effects="sensor_offset", static="joint", configurations=16)
+    direct = bayesid.bounds(made, configurations=16)
+    np.testing.assert_allclose(read.known.centre, direct.known.centre, rtol=1e-6, atol=1e-9)
+
+
 def test_what_the_model_lacks_is_in_the_bands_once(arm):
     """A force on the sensor that follows the motion of joint 2, in the validation motion only."""
     setup, _ = arm
