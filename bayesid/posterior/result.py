@@ -38,7 +38,7 @@ class Posterior(Plots, HasParameters):
     model
         What was sampled.
     chains
-        Draws, engine, last states.
+        Draws, and the engine that made them.
     seed
         Of the run.
     extra

@@ -105,7 +105,6 @@ class Chains:
     draws: np.ndarray
     engine: str  # its name
     thin: int  # steps from one kept draw to the next, beyond the engine's own
-    states: list[Any]  # last states of the chains
     #: By at least 1600 draws, of all numbers sampled, and of the base parameters where the links are sampled.
     diagnosis: Convergence
 
@@ -186,7 +185,7 @@ def run(
         diagnosis = convergence(*_monitored(model, flat))
         if diagnosis.passed or thin >= longest:
             even = np.linspace(0, each - 1, asked).astype(int)
-            return Chains(flat[:, even], engine.name, thin, states, diagnosis)
+            return Chains(flat[:, even], engine.name, thin, diagnosis)
         kept, thin = kept[:, 1::2], 2 * thin
 
 

@@ -78,6 +78,12 @@ class RowModel:
         """Values of the parameters that are estimated, among those with one entry for each parameter of the effects."""
         return tuple(compress(values, self.free))
 
+    def every_value(self, estimated: np.ndarray) -> np.ndarray:
+        """Values of all parameters of the effects (p,), from those that are estimated (e,); others as they are held."""
+        values = np.zeros(len(self.free)) if self.point is None else self.point.values.copy()
+        values[self.free] = estimated
+        return values
+
     @property
     def effect_names(self) -> tuple[str, ...]:
         """Names of the effect parameters that are estimated."""

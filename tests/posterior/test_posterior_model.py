@@ -34,7 +34,7 @@ from tests.posterior_cases import BODY, one_body, regression, unrestricted
 def bare(model):
     """A result without draws: for its density."""
     none = np.zeros((2, 0, len(model.names)))
-    return Posterior(model, Chains(none, "hmc", 1, [], Convergence((), np.zeros(0), np.zeros(0), np.zeros(0))))
+    return Posterior(model, Chains(none, "hmc", 1, Convergence((), np.zeros(0), np.zeros(0), np.zeros(0))))
 
 
 def numerical_gradient(f, x, step=1e-6):

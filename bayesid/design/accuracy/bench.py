@@ -18,7 +18,7 @@ import numpy as np
 
 from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import nearest_links
-from bayesid.effects import Effect, MotionSegment, Term, middle_of
+from bayesid.effects import Effect, MotionSegment, Term, middle_of, with_places
 from bayesid.effects.library import by_number
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate, Estimator
@@ -141,16 +141,9 @@ def make_bench(
     else:
         known = ~(estimate.undetermined[:rank] | estimate.weak[:rank])
         links = nearest_links(robot, row_model.base, estimate.values, known)
-    values = row_model.free.astype(float)
-    values[row_model.free] = estimate.solution[rank:]
-    if row_model.point is not None:
-        values[~row_model.free] = row_model.point.values[~row_model.free]
-    absorbed = absorbed_offset(row_model.base, links)
-    terms, start = [], 0
-    for effect in row_model.effects:
-        own = values[start : start + len(effect.parameters)]
-        terms.append(Term(effect, tuple(own - absorbed if effect.absorbs_weight else own)))
-        start += len(own)
+    values, absorbed = row_model.every_value(estimate.solution[rank:]), absorbed_offset(row_model.base, links)
+    own = ((effect, values[places]) for effect, places in with_places(row_model.effects))
+    terms = tuple(Term(effect, tuple(v - absorbed if effect.absorbs_weight else v)) for effect, v in own)
     count = experiment.position_resolution or 0.0
     if experiment.position_std is not None:
         scatter = np.full(robot.n, experiment.position_std)
@@ -159,7 +152,7 @@ def make_bench(
         scatter = np.where(scatter > 0.1 * count, scatter, 0.0)  # rounding, as far as the residuals can tell
     return Bench(
         experiment, problem, estimate, method, replace(options, channel=problem.channel, motions=problem.fitted),
-        links.reshape(-1, 10), tuple(terms), _sample_noise(problem, estimate), float(count), scatter, nominal,
+        links.reshape(-1, 10), terms, _sample_noise(problem, estimate), float(count), scatter, nominal,
     )  # fmt: skip
 
 

@@ -224,10 +224,6 @@ def known_from(
     if not np.any(np.diag(covariance) > 0.0):
         raise InputError("these motions determine no parameter, so nothing can be bounded; record other motions")
     covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-    values = np.zeros(len(problem.row_model.free))
-    if problem.row_model.point is not None:
-        values[:] = problem.row_model.point.values
-    values[problem.row_model.free] = mean[rank:]
     rel_std = rel_std or (None if conflict else problem.experiment.inertia_rel_std) or WIDE
     scale = 1.0
     if link_draws is None:
@@ -246,8 +242,9 @@ def known_from(
     middle = links.links.mean(axis=0)
     return Known(
         problem=problem, source=source, method=method, mean=mean, covariance=covariance, draws=draws, undetermined=undetermined,
-        effect_values=values, links=links, centre=middle if centre is None else centre, urdf=middle if urdf is None else urdf,
-        dynamics=dynamics or JointDynamics({}), dispersion=dispersion, held_out_scale=scale, rel_std=rel_std,
+        effect_values=problem.row_model.every_value(mean[rank:]), links=links, centre=middle if centre is None else centre,
+        urdf=middle if urdf is None else urdf, dynamics=dynamics or JointDynamics({}), dispersion=dispersion,
+        held_out_scale=scale, rel_std=rel_std,
     )  # fmt: skip
 
 

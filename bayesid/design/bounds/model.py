@@ -18,6 +18,7 @@ from bayesid.design.bounds.region import Region, region_of_draws, region_of_norm
 from bayesid.dynamics.base_parameters import BaseParameters, spanned, structural_base
 from bayesid.dynamics.channels import Channels, torque_channels
 from bayesid.dynamics.regressors import Kernel
+from bayesid.effects import with_places
 from bayesid.effects.families import JointMotion, JointTorqueEffect, differences
 from bayesid.robot.robot import Robot
 
@@ -119,15 +120,13 @@ def sensor_model(known: Known, channels: Channels, seed: int = 0) -> ReadingMode
 def _drives(known: Known) -> tuple[tuple[Drive, ...], np.ndarray]:
     """Effects inside the joints, and which of the estimated effect parameters are theirs."""
     row_model = known.problem.row_model
-    out, columns, first = [], [], 0
+    out, columns = [], []
     place = np.cumsum(row_model.free) - 1  # of a parameter among those that were estimated
-    for effect in row_model.effects:
-        own = np.arange(first, first + len(effect.parameters))
-        first += len(own)
+    for effect, own in with_places(row_model.effects):
         if isinstance(effect, JointTorqueEffect) and not (effect.uses_load or effect.remembers):
-            free = [k for k, at in enumerate(own) if row_model.free[at]]
-            out.append(Drive(effect, tuple(known.effect_values[own]), tuple(free)))
-            columns += [int(place[at]) for at in own if row_model.free[at]]
+            free = np.flatnonzero(row_model.free[own])
+            out.append(Drive(effect, tuple(known.effect_values[own]), tuple(free.tolist())))
+            columns += place[own][free].tolist()
     return tuple(out), np.array(columns, int)
 
 

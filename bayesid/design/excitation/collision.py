@@ -16,7 +16,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from bayesid.dynamics.kinematics import link_states
+from bayesid.dynamics.kinematics import P, R, W, link_states
 from bayesid.effects.segment import Results
 from bayesid.robot.robot import Robot
 
@@ -24,7 +24,6 @@ from bayesid.robot.robot import Robot
 _NEIGHBOURS, _TRIED = 0.95, 100
 #: Side of the box that stands for the ground [m].
 _GROUND = 20.0
-_ROTATION, _ORIGIN = slice(0, 9), slice(9, 12)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +54,8 @@ class Clearance:
         distance, normal, points = self._witnesses(positions)
         still = np.zeros_like(positions)
         states = link_states(self.robot, positions, still, still)[:, : self.robot.n]
-        rotation = states[..., _ROTATION].reshape(*states.shape[:2], 3, 3)
-        axis, origin = np.einsum("sjab,jb->sja", rotation, self.robot.axis), states[..., _ORIGIN]
+        rotation = states[..., R:P].reshape(*states.shape[:2], 3, 3)
+        axis, origin = np.einsum("sjab,jb->sja", rotation, self.robot.axis), states[..., P:W]
         slope = np.where(distance < self.margins + self.scale, -weights / self.scale, 0.0)
         moves = np.vstack([self.robot.moves_with[:, : self.robot.n].T, np.zeros((1, self.robot.n), bool)])  # the last: the root
         out = np.zeros_like(positions)

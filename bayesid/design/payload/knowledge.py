@@ -248,11 +248,10 @@ class HeldCombination:
             return self._last[1:]
         model, point = self.problem.row_model, self.problem.row_model.point
         assert point is not None
-        rank, values = model.base.rank, point.values.copy()
-        values[point.free] = at[rank:]
-        links = nearest_links(model.robot, model.base, at[:rank])
+        base, values = at[: model.base.rank], model.every_value(at[model.base.rank :])
+        links = nearest_links(model.robot, model.base, base)
         absorbed = absorbed_offset(model.base, links)
-        there = replace(point, links=links.reshape(-1, 10), base=at[:rank], values=values, absorbed=absorbed)
+        there = replace(point, links=links.reshape(-1, 10), base=base, values=values, absorbed=absorbed)
         left, slopes = [], []
         for block in relinearised(self.problem, there).regression.rows.blocks():
             std = (self.estimate.noise.get(block.group) or next(iter(self.estimate.noise.values()))).std

@@ -134,9 +134,7 @@ class Reference:
         model = self.problem.row_model
         rank = model.base.rank
         links = nearest_links(self.robot, model.base, self.solution[:rank], ~self.estimate.undetermined[:rank])
-        count = sum(len(e.parameters) for e in model.effects)
-        values = np.zeros(count) if model.point is None else model.point.values.copy()
-        values[model.free] = self.solution[rank:]
+        values = model.every_value(self.solution[rank:])
         # A fit that has not settled may have left where an equation holds; one that is linear holds everywhere.
         for k, p in enumerate(p for e in model.effects for p in e.quantities):
             values[k] = values[k] if p.linear else np.clip(values[k], p.lower, p.upper)

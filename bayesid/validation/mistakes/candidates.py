@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from bayesid.dynamics.channels import WRENCH_NAMES
+from bayesid.dynamics.kinematics import P, R, W, link_states
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot.robot import Robot
 from bayesid.validation.mistakes.evidence import Change
@@ -286,18 +286,9 @@ def base_axes(robot: Robot, sensor: Sensor, positions: np.ndarray) -> np.ndarray
 
 def link_placement(robot: Robot, joint: int, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (N, 3, 3) and origin (N, 3) [m] in the base frame of the link that a joint moves, at positions (N, n)."""
-    rotation, origin = np.broadcast_to(np.eye(3), (len(positions), 3, 3)), np.zeros((len(positions), 3))
-    while joint >= 0:
-        along = positions[:, joint, None] * robot.axis[joint]
-        if robot.prismatic[joint]:
-            origin = origin + along
-        else:
-            turn = Rotation.from_rotvec(along).as_matrix()
-            rotation, origin = turn @ rotation, np.einsum("nij,nj->ni", turn, origin)
-        rotation = robot.rotation[joint] @ rotation
-        origin = origin @ robot.rotation[joint].T + robot.translation[joint]
-        joint = int(robot.parent[joint])
-    return rotation, origin
+    still = np.zeros_like(positions)
+    states = link_states(robot, positions, still, still)[:, joint]
+    return states[:, R:P].reshape(-1, 3, 3), states[:, P:W]
 
 
 def of_degrees(robot: Robot, reach: np.ndarray) -> list[Candidate]:
