@@ -263,7 +263,8 @@ def contest_on(case: Case, segments: Sequence[SpectralSegment]) -> Contest:
             exact = [s.spectrum(data.predict(s, f.links, f.terms)) + s.measured_ones * f.offset for s in segments]
         predicted.append(scale * np.concatenate([s.whiten(e).ravel() for s, e in zip(segments, exact, strict=True)]))
     rows = PredictedRows.of(derivatives, predicted, sum(s.count for s in segments))
-    return Contest(case.rivals, rows, data.settings.rival)
+    size = (len(case.rivals),) * 2
+    return Contest(case.rivals, rows, data.settings.rival, np.ones(size), np.zeros(size))
 
 
 def checked(contest: Contest, case: Case, bench: SeenInstruments, motion: Planned) -> Contest:
@@ -271,8 +272,7 @@ def checked(contest: Contest, case: Case, bench: SeenInstruments, motion: Planne
     first = case.rivals[0].fit
     data, segment = first.projector.data, bench.segment(motion, first)
     projector = make_projector(replace(data, segments=(*data.segments, segment)), first.terms)
-    count = len(case.rivals)
-    shares, lost = np.ones((count, count)), np.zeros((count, count))
+    shares, lost = contest.shares.copy(), contest.lost.copy()
     for i in np.flatnonzero(case.weights >= _PROBABLE):
         true = case.rivals[i]
         read = predicted(data, segment, true.fit.links, true.fit.offset, true.fit.terms)

@@ -94,18 +94,17 @@ class Contest:
     rivals: tuple[Rival, ...]  # the models
     rows: PredictedRows  # what they predict of it
     needed: float  # difference of log evidence from which one rules the other out
-    #: Of the distance between the row's rival and the column's, what exact fits leave of it (rivals, rivals); None: all.
-    shares: np.ndarray | None = None
-    #: Log evidence so far of the row's rival over the column's that exact fits take back (rivals, rivals); None: nothing.
-    lost: np.ndarray | None = None
+    #: Of the distance between the row's rival and the column's, what exact fits leave of it (rivals, rivals); 1: all.
+    shares: np.ndarray
+    lost: np.ndarray  # log evidence so far of the row's rival over the column's that exact fits take back (rivals, rivals)
 
     def _lead(self, i: int, j: int) -> float:
         """Log evidence of rival i over j but for what the motion adds, where i is true."""
-        return float(self.constant[i] - self.constant[j] - (0.0 if self.lost is None else self.lost[i, j]))
+        return float(self.constant[i] - self.constant[j] - self.lost[i, j])
 
     def _away(self, i: int, j: int) -> np.ndarray:
         """What rival i predicts beyond rival j (t,)."""
-        return (1.0 if self.shares is None else self.shares[i, j]) * (self.rows.readings[i] - self.rows.readings[j])
+        return self.shares[i, j] * (self.rows.readings[i] - self.rows.readings[j])
 
     @cached_property
     def _spreads(self) -> list[tuple[np.ndarray, np.ndarray]]:
