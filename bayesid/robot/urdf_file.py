@@ -173,7 +173,11 @@ def read_urdf(given: str | Path, folder: Path | None = None) -> UrdfFile:
 
 def _checked(data: bytes, path: Path, notes: tuple[str, ...] = (), inside: dict | None = None) -> UrdfFile:
     root, wrong = parse_xml(data, path.name), partial(InputError, file=path.name)
-    _check_namespaces(root, wrong)
+    if root.tag.endswith("}robot"):
+        raise wrong("<robot> has a default namespace (xmlns=...), so that none of its parts is URDF's", remedy="remove it")
+    if root.tag != "robot":
+        remedy = "it cannot be read as a URDF, which has <robot>, nor as MJCF, <mujoco>: name the robot's file"
+        raise wrong(f"its root element is <{_cut(root.tag)}>", remedy=remedy)
     links, joints = _named(root, "link", wrong), _named(root, "joint", wrong)
     if not links:
         raise wrong("has no <link>", remedy="it cannot be read as a URDF: check the file")
@@ -197,14 +201,6 @@ def _checked(data: bytes, path: Path, notes: tuple[str, ...] = (), inside: dict 
 def _plain(element: ET.Element) -> dict[str, str]:
     """Attributes as every parser reads them: values without line breaks."""
     return {key: " ".join(value.split()) if key != "name" else value for key, value in element.attrib.items()}
-
-
-def _check_namespaces(root: ET.Element, wrong: Wrong) -> None:
-    if root.tag.endswith("}robot"):
-        raise wrong("<robot> has a default namespace (xmlns=...), so that none of its parts is URDF's", remedy="remove it")
-    if root.tag != "robot":
-        remedy = "it cannot be read as a URDF, which has <robot>, nor as MJCF, <mujoco>: name the robot's file"
-        raise wrong(f"its root element is <{_cut(root.tag)}>", remedy=remedy)
 
 
 def _named(root: ET.Element, kind: str, wrong: Wrong) -> dict[str, ET.Element]:

@@ -154,20 +154,15 @@ class Contest:
                 std[i, j] = np.sqrt(0.5 * np.sum(a**2) + along @ along)
         return mean, std
 
-    @property
-    def _distance(self) -> np.ndarray:
-        """Standard deviations by which the mean exceeds what is needed (rivals, rivals); infinite on the diagonal."""
-        mean, std = self.moments
-        out = (mean - self.needed) / np.maximum(std, 1e-9)
-        np.fill_diagonal(out, np.inf)
-        return out
-
     def merit(self, weights: np.ndarray) -> float:
         """What is maximised: log probabilities that the row's rival, if true, rules out the column's, of a normal Delta, summed.
 
         The pair that is hardest to tell counts most.
         """
-        return float(weights @ log_ndtr(self._distance).sum(axis=1))
+        mean, std = self.moments
+        distance = (mean - self.needed) / np.maximum(std, 1e-9)
+        np.fill_diagonal(distance, np.inf)
+        return float(weights @ log_ndtr(distance).sum(axis=1))
 
     def _scores(self, true: int, seed: int) -> np.ndarray:
         """Log evidence of each rival, but for a constant, in joint draws of y where one is true (draws, rivals)."""
@@ -331,22 +326,18 @@ def from_effects(data: DiagnosisData, effects: Sequence[Effect]) -> tuple[Case, 
 
 def supposed(data: DiagnosisData, effects: Sequence[Effect]) -> tuple[Case, ...]:
     """A case for each effect in which it is there at a usual size, its readings in place of the recorded ones."""
-    return tuple(_supposed(data, effects, true) for true in range(len(effects)))
-
-
-def _supposed(data: DiagnosisData, effects: Sequence[Effect], true: int) -> Case:
-    """The case of one of the effects."""
-    term = Term(effects[true], tuple(map(float, effects[true].typical(data.robot))))
-    none, terms = np.zeros(len(data.channels)), (*data.terms, term)
-    there = replace(data, segments=tuple(predicted(data, s, data.links, none, terms) for s in data.segments))
-    projector = make_projector(there, data.terms)
-    base = fit(projector, data.terms)
-    others = [e for k, e in enumerate(effects) if k != true]
-    fits = _fitted(make_library(projector, base, effects=others), base, others)
-    fits.insert(true, fit(projector, terms))
-    best = fits[true].score
-    rivals = tuple(known(f, e.spec, f.score - best, 1.0) for f, e in zip(fits, effects, strict=True))
-    return Case(rivals, np.eye(len(effects))[true])
+    none, cases = np.zeros(len(data.channels)), []
+    for true, effect in enumerate(effects):
+        terms = (*data.terms, Term(effect, tuple(map(float, effect.typical(data.robot)))))
+        there = replace(data, segments=tuple(predicted(data, s, data.links, none, terms) for s in data.segments))
+        projector = make_projector(there, data.terms)
+        base = fit(projector, data.terms)
+        others = [e for e in effects if e is not effect]
+        fits = _fitted(make_library(projector, base, effects=others), base, others)
+        fits.insert(true, fit(projector, terms))
+        rivals = [known(f, e.spec, f.score - fits[true].score, 1.0) for f, e in zip(fits, effects, strict=True)]
+        cases.append(Case(tuple(rivals), np.eye(len(effects))[true]))
+    return tuple(cases)
 
 
 def _fitted(library: Library, base: Fit, effects: Sequence[Effect]) -> list[Fit]:

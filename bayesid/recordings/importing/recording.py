@@ -128,7 +128,10 @@ def _beside(tables: Sequence[tuple[str, Stream]], times: Sequence[str]) -> list[
         merged.setdefault(own[0] if len(own) == 1 else k, []).append(k)
     out = []
     for members in merged.values():
-        named = [replace(stream, name="" if _called_as(stream, file) else file) for file, stream in (tables[k] for k in members)]
+        named = []
+        for file, stream in (tables[k] for k in members):  # columns of an array without names have the file's already
+            has_it = all(column == file or column.startswith(f"{file}[") for column in stream.columns)
+            named.append(replace(stream, name="" if has_it else file))
         columns = {stream.full_name(column): values for stream in named for column, values in stream.columns.items()}
         out.append(named[0] if len(named) == 1 else Stream("", columns))
     return out
@@ -136,11 +139,6 @@ def _beside(tables: Sequence[tuple[str, Stream]], times: Sequence[str]) -> list[
 
 def _rows(stream: Stream) -> int:
     return len(next(iter(stream.columns.values())))
-
-
-def _called_as(stream: Stream, file: str) -> bool:
-    """Whether columns have the file's name already, as those of an array without names do."""
-    return all(column == file or column.startswith(f"{file}[") for column in stream.columns)
 
 
 def join(signals: Sequence[Signal], source: str) -> tuple[np.ndarray, dict[str, np.ndarray], Signal, list[str]]:

@@ -47,7 +47,12 @@ def worded(
     ``alike`` are candidates that explain the data as well, each with its robot; the first is named, the others beside it.
     """
     first, fit = alike[0]
-    text = f"{first.says[0].upper()}{first.says[1:]}: with that undone, {_falls(explainer, null, fit)}; {first.remedy}"
+    k = int(np.argmax(null.left / np.maximum(fit.left, explainer.floor)))
+    text = (
+        f"{first.says[0].upper()}{first.says[1:]}: with that undone, what no possible robot explains of "
+        f"{explainer.channels.names[k]} falls from {null.left[k]:.2g} to {fit.left[k]:.2g} {explainer.channels.units[k]} rms; "
+        f"{first.remedy}"
+    )
     others = [f"{c.says} ({c.remedy})" for c, _ in alike[1 : _LISTED + 1]]
     if others:
         more = f"; or {len(alike) - 1 - _LISTED} more" if len(alike) > _LISTED + 1 else ""
@@ -71,12 +76,6 @@ def not_explained(explainer: Explainer, null: RobotFit, best: RobotFit) -> Mista
     )
     channel = "torque" if explainer.torque else "wrench"
     return Mistake("not_explained", "", text, channel, 0.0, tuple(map(float, left)), tuple(map(float, best.left)))
-
-
-def _falls(explainer: Explainer, null: RobotFit, fit: RobotFit) -> str:
-    k = int(np.argmax(null.left / np.maximum(fit.left, explainer.floor)))
-    names, units = explainer.channels.names, explainer.channels.units
-    return f"what no possible robot explains of {names[k]} falls from {null.left[k]:.2g} to {fit.left[k]:.2g} {units[k]} rms"
 
 
 def _decided_by(experiment: Experiment, explainer: Explainer, alike: Sequence[tuple[Candidate, RobotFit]]) -> str:
