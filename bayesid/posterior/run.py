@@ -161,8 +161,7 @@ def run(
     mark = fingerprint(model, engine, draws, chains, seed)
     saved = load_checkpoint(checkpoint, mark) if resume and checkpoint is not None else None
     if saved is None:
-        sequences = np.random.SeedSequence(seed).spawn(chains)
-        states = list(map_tasks(partial(_started, engine), sequences))
+        states = list(map_tasks(engine.start, map(np.random.default_rng, np.random.SeedSequence(seed).spawn(chains))))
         kept, thin, rounds = np.empty((chains, 0, engine.walkers, len(model.names))), 1, 0
     else:
         states = [engine.state_type(**state) for state in saved["states"]]
@@ -182,7 +181,10 @@ def run(
                 fields = [vars(state) for state in states]
                 save_checkpoint(checkpoint, mark, {"states": fields, "kept": kept, "thin": thin, "rounds": rounds})
         flat = np.swapaxes(kept, 1, 2).reshape(chains, -1, kept.shape[-1])[:, :each]
-        diagnosis = convergence(*_monitored(model, flat))
+        # What must have converged: everything sampled, and the base parameters.
+        base = np.zeros((*flat.shape[:2], 0)) if model.prior is None else flat[..., : model.link_count] @ model.base.matrix.T
+        names = model.names if model.prior is None else model.names + model.base.names
+        diagnosis = convergence(np.concatenate([flat, base], axis=-1), names)
         if diagnosis.passed or thin >= longest:
             even = np.linspace(0, each - 1, asked).astype(int)
             return Chains(flat[:, even], engine.name, thin, diagnosis)
@@ -202,22 +204,10 @@ def convergence(draws: np.ndarray, names: tuple[str, ...]) -> Convergence:
     return Convergence(names, *out)
 
 
-def _started(engine: Engine, sequence: np.random.SeedSequence) -> Any:
-    return engine.start(np.random.Generator(np.random.PCG64(sequence)))
-
-
 def _advanced(engine: Engine, count: int, thin: int, state: Any) -> tuple[Any, np.ndarray]:
     """The state that a chain has moved on to, and its draws."""
     draws = engine.advance(state, count, thin)
     return state, draws
-
-
-def _monitored(model: PosteriorModel, draws: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """What must have converged: everything sampled, and the base parameters."""
-    if model.prior is None:
-        return draws, model.names
-    base = draws[..., : model.link_count] @ model.base.matrix.T
-    return np.concatenate([draws, base], axis=-1), model.names + model.base.names
 
 
 def fingerprint(model: PosteriorModel, engine: Engine, draws: int, chains: int, seed: int) -> str:

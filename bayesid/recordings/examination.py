@@ -275,18 +275,6 @@ def _turns_off(q: np.ndarray, lower: float, upper: float, together: bool) -> np.
     return np.where((excess(0.0) > _LIMIT_SLACK) & (excess(whole) < _SLACK), whole, 0.0)
 
 
-def _in_chunks(motion: Motion) -> Finding:
-    """What it means that a motion is read in chunks."""
-    assert motion.stored is not None
-    size, part = len(motion.stored), len(motion.table)
-    excerpt = "the whole recording" if part == size else f"an excerpt of {part:,} samples in evenly spread pieces"
-    fitted = "is fitted in chunks" if motion.role == "identification" else "is only predicted, on that excerpt"
-    return Finding(
-        f"{motion.table.source}: {size:,} samples, of which few are in memory at a time: the recording {fitted}; what looks at "
-        f"recordings as wholes (checks, noise floor, figures, diagnose, methods tls and iv) has {excerpt}"
-    )
-
-
 def examine(motion: Motion, robot: Robot, resolution: float | None, place: str) -> tuple[Motion, list[Finding], list[str]]:
     """The motion with angles unwrapped, what is certain about its tables, and what is doubtful, one line each.
 
@@ -301,7 +289,14 @@ def examine(motion: Motion, robot: Robot, resolution: float | None, place: str) 
     certain = [*motion.table.notes, notes, *(motion.static.notes if motion.static else ()), moved]
     findings += [Finding(text) for text in certain if text]
     if motion.stored is not None:
-        findings.append(_in_chunks(motion))
+        size, part = len(motion.stored), len(motion.table)
+        excerpt = "the whole recording" if part == size else f"an excerpt of {part:,} samples in evenly spread pieces"
+        fitted = "is fitted in chunks" if motion.role == "identification" else "is only predicted, on that excerpt"
+        text = (
+            f"{motion.table.source}: {size:,} samples, of which few are in memory at a time: the recording {fitted}; what looks "
+            f"at recordings as wholes (checks, noise floor, figures, diagnose, methods tls and iv) has {excerpt}"
+        )
+        findings.append(Finding(text))
     doubts += check_positions(table, robot) + check_channels(table)
     if motion.kind == "trajectory":
         held = held_columns(table)

@@ -213,7 +213,17 @@ def check_keys(file: ExperimentFile) -> list[str]:
     strength = math.hypot(*robot.gravity)
     if not 9.7 < strength < 9.9:
         warnings.append(f"experiment.toml: [robot] gravity: {strength:.4g} m/s^2 is not the Earth's; correct it unless meant")
-    warnings += _sizes(file)
+    rel_std = robot.inertia_rel_std
+    if rel_std is not None and rel_std > 1.0:
+        warnings.append(
+            f"experiment.toml: [robot] inertia_rel_std: {rel_std:g} says that nothing is known of the links; it is a share, "
+            "0.1 for ten per cent: correct it, or leave it out"
+        )
+    sensor = file.sensor
+    if sensor is not None and max(map(abs, sensor.translation)) > 10.0:
+        warnings.append(f"experiment.toml: [sensor] translation: {sensor.translation} m is far; in millimetres? write metres")
+    if sensor is not None and max(map(abs, sensor.rpy)) > 2.0 * math.pi:
+        warnings.append(f"experiment.toml: [sensor] rpy: {sensor.rpy} rad is more than a turn; is it in degrees? write radians")
     return warnings
 
 
@@ -239,22 +249,6 @@ def joints_by_place(specs: Iterable[str], joints: Sequence[str]) -> list[str]:
                     f'experiment.toml: [model] "{spec}": {name} is place {at + 1} of joints, {joints[at]}, and not the URDF\'s '
                     f"{name}; write joint{joints.index(name) + 1}, if that is meant"
                 )
-    return out
-
-
-def _sizes(file: ExperimentFile) -> list[str]:
-    """Numbers that look like another unit."""
-    out = []
-    rel_std = file.robot.inertia_rel_std
-    if rel_std is not None and rel_std > 1.0:
-        out.append(
-            f"experiment.toml: [robot] inertia_rel_std: {rel_std:g} says that nothing is known of the links; it is a share, "
-            "0.1 for ten per cent: correct it, or leave it out"
-        )
-    if file.sensor is not None and max(map(abs, file.sensor.translation)) > 10.0:
-        out.append(f"experiment.toml: [sensor] translation: {file.sensor.translation} m is far; in millimetres? write metres")
-    if file.sensor is not None and max(map(abs, file.sensor.rpy)) > 2.0 * math.pi:
-        out.append(f"experiment.toml: [sensor] rpy: {file.sensor.rpy} rad is more than a turn; is it in degrees? write radians")
     return out
 
 

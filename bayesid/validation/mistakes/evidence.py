@@ -192,7 +192,7 @@ class Explainer:
                 self._counts.append(count)
             left = rms(residual)
             count = self._counts[k] + change.numbers
-            fits.append(RobotFit(k, parameters, residual, left, self._log_likelihood(left), count))
+            fits.append(RobotFit(k, parameters, residual, left, _log_likelihood(left, self.floor), count))
         return fits
 
     def _possible(self, change: Change) -> range:
@@ -239,8 +239,8 @@ class Explainer:
         changes in them: of what the robot lets be read beside what is left, or of what is left. And of the columns of each kind
         that it changes, a quarter of the power is left at most.
         """
-        known = max(map(self._log_likelihood, self.unmended.values()))
-        left = {k: e for k, e in self.left_out(change).items() if worth * (self._log_likelihood(e) - known) > needed}
+        known = max(_log_likelihood(e, self.floor) for e in self.unmended.values())
+        left = {k: e for k, e in self.left_out(change).items() if worth * (_log_likelihood(e, self.floor) - known) > needed}
         return any(self._mends(change, fit, left[fit.family]) for fit in self.fit(change) if fit.family in left) if left else None
 
     def _mends(self, change: Change, fit: RobotFit, left: np.ndarray) -> bool:
@@ -266,7 +266,7 @@ class Explainer:
             count += change.numbers
             if self.torque or change.readings is None:
                 left = self._least(change)
-        return _score(self._log_likelihood(left), count, worth)
+        return _score(_log_likelihood(left, self.floor), count, worth)
 
     def _least(self, change: Change) -> np.ndarray:
         """What each column leaves by itself, as the reading that it holds (c,): no robot leaves less."""
@@ -317,7 +317,7 @@ class Explainer:
     def gained_by_size(self, bodies: np.ndarray, factor: float, change: Change = AS_RECORDED) -> float:
         """Log likelihood of a sample that bodies of any size gain over this many times the given ones, friction beside both."""
         left = [self._sized(bodies, fixed, change)[1] for fixed in (None, factor)]
-        return self._log_likelihood(left[0]) - self._log_likelihood(left[1])
+        return _log_likelihood(left[0], self.floor) - _log_likelihood(left[1], self.floor)
 
     def _sized(self, bodies: np.ndarray, fixed: float | None, change: Change) -> tuple[np.ndarray, np.ndarray]:
         """Factors of the bodies (fixed, or None) and of everything beside them, and what they leave of each channel (c,)."""
@@ -384,10 +384,6 @@ class Explainer:
         beside = columns_beside(self.channels, motion[1], motion[2], s.motion)
         self._designs[key] = Design(np.concatenate([rigid, beside], axis=2), s.readings)
         return self._designs[key]
-
-    def _log_likelihood(self, left: np.ndarray) -> float:
-        """Log likelihood of one sample, by what is left of each column (c,)."""
-        return _log_likelihood(left, self.floor)
 
 
 def independent_samples(residual: np.ndarray, part: np.ndarray) -> float:
@@ -460,6 +456,7 @@ def _non_negative(squares: np.ndarray, products: np.ndarray, ridge: float) -> np
 
 
 def _log_likelihood(left: np.ndarray, floor: np.ndarray) -> float:
+    """Log likelihood of one sample, by what is left of each column (c,), and what is no evidence (c,)."""
     return -float(np.log(np.maximum(left, floor)).sum())
 
 
