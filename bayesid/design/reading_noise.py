@@ -20,7 +20,7 @@ from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.readings import has_readings
 from bayesid.robot.robot import Robot
-from bayesid.signals.noise import NoiseModel
+from bayesid.signals.noise import NoiseModel, noise_of_group
 
 #: White noise of one sample of a good base force/torque sensor, where nothing else is known [N], [N m]; assumed.
 ASSUMED_FORCE, ASSUMED_MOMENT = 0.5, 0.05
@@ -75,7 +75,7 @@ class ReadingNoise:
         """Noise of the rows of a sensor set: the difference of two readings where a static run is subtracted."""
         parts = {"wrench": [self.wrench], "torque": [self.torque], "both": [self.wrench, self.torque]}[sensor_set.channel]
         readings = 2.0 if sensor_set.offset == "static run" else 1.0
-        return {group: _stacked([_group(p, group) for p in parts], readings) for group in ("trajectory", "poses")}
+        return {group: _stacked([noise_of_group(p, group) for p in parts], readings) for group in ("trajectory", "poses")}
 
 
 def white_noise(
@@ -133,7 +133,7 @@ def recorded_noise(
         readings = 2.0 if problem.static == "motion" else 1.0
         learned = {g: m.scaled(1.0 / (readings if g == "trajectory" else 1.0)) for g, m in weights.dispersed().items()}
         given = np.array([n in otherwise.given for n in problem.row_model.channels.names])
-        models[kind] = {g: _with_given(m, _group(models[kind], g), given) for g, m in learned.items()}
+        models[kind] = {g: _with_given(m, noise_of_group(models[kind], g), given) for g, m in learned.items()}
         sources[kind] = "readings"
     return replace(otherwise, wrench=models["wrench"], torque=models["torque"], sources=sources), problems
 
@@ -148,10 +148,6 @@ def _with_given(model: NoiseModel, white: NoiseModel, given: np.ndarray) -> Nois
     coefficients = np.where(given[:, None], np.eye(1, model.order + 1), model.coefficients)
     innovation = np.where(given[:, None] | given, white.innovation, model.innovation)
     return replace(model, coefficients=coefficients, innovation=innovation)
-
-
-def _group(models: Mapping[str, NoiseModel], group: str) -> NoiseModel:
-    return models[group] if group in models else next(iter(models.values())).uncoloured()
 
 
 def _stacked(parts: list[NoiseModel], readings: float) -> NoiseModel:

@@ -26,7 +26,7 @@ from bayesid.posterior.convert import Groups
 from bayesid.posterior.likelihood import Likelihood, log_student
 from bayesid.posterior.result import Posterior
 from bayesid.regression.blocks import Block
-from bayesid.signals.noise import NoiseModel
+from bayesid.signals.noise import noise_of_group
 
 #: Terms at most, whatever the length of the recording.
 TERMS = 1000
@@ -155,20 +155,14 @@ def _first_rows(blocks: Iterable[Block]) -> list[Block]:
     return out
 
 
-def _noise(posterior: Posterior, group: str) -> tuple[NoiseModel, slice]:
-    """Noise of a group of rows and its scales; of a group that was not fitted, another's without its colour."""
-    likelihood = posterior.model.likelihood
-    assert likelihood.noise is not None
-    known = group if group in likelihood.groups else likelihood.groups[0]
-    model = likelihood.noise[known] if known == group else likelihood.noise[known].uncoloured()
-    return model, _part(likelihood, known, len(model.std))
-
-
 def _replicated(posterior: Posterior, block: Block, rng: np.random.Generator) -> np.ndarray:
     """Readings with fresh noise (chains, draws, rows, channels) for a few draws."""
     chains, draws = posterior.columns.shape[:2]
     at = np.unique(np.linspace(0, draws - 1, max(DRAWS // chains, 1)).astype(int))
-    noise, part = _noise(posterior, block.group)
+    likelihood = posterior.model.likelihood
+    assert likelihood.noise is not None
+    noise = noise_of_group(likelihood.noise, block.group)
+    part = _part(likelihood, block.group if block.group in likelihood.groups else likelihood.groups[0], len(noise.std))
     columns, scales = posterior.columns[:, at], posterior.noise_scales[:, at, part]
     mean = np.einsum("tcp,nmp->nmtc", block.matrix, columns, optimize=True)
     run_in = 0 if noise.from_zero or noise.order == 0 else _RUN_IN

@@ -179,6 +179,11 @@ def student_factor(degrees: np.ndarray | float) -> np.ndarray:
     return np.asarray((t.ppf(0.975, degrees) / norm.ppf(0.975)) ** 2)
 
 
+def noise_of_group(noise: Mapping[str, NoiseModel], group: str) -> NoiseModel:
+    """The noise of a group of rows; of one that was not fitted, another's without its colour."""
+    return noise[group] if group in noise else next(iter(noise.values())).uncoloured()
+
+
 def memoryless(noise: Mapping[str, NoiseModel]) -> bool:
     """Whether no row's noise depends on the rows before it, for any group of rows."""
     return all(model.order == 0 for model in noise.values())

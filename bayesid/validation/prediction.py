@@ -24,7 +24,7 @@ from bayesid.regression.parallel import both, in_order
 from bayesid.regression.problem import Problem, elsewhere
 from bayesid.regression.row_cache import few_of, row_count
 from bayesid.regression.segment import Segment
-from bayesid.signals.noise import NoiseModel
+from bayesid.signals.noise import NoiseModel, noise_of_group
 from bayesid.validation.flexible import BAND, FlexibleGap
 from bayesid.validation.noise_floor import RESIDUALS, NoiseFloor, noise_floor, pose_floor
 
@@ -269,11 +269,8 @@ def _whitened(
     problem: Problem, estimate: Estimate, motion: str, segments: list[Segment]
 ) -> tuple[np.ndarray, float, float, ResidualSpectrum | None]:
     """Root mean square of residual rows over the fit's noise (c,), what is expected, share inside 95 % intervals, spectrum."""
-    noise = dict(estimate.noise)
-    for group in ("trajectory", "poses"):  # a kind of rows that was not fitted: the other's noise, uncoloured
-        if group not in noise:
-            noise[group] = next(iter(estimate.noise.values())).uncoloured()
     group = "poses" if all(s.poses for s in segments) else "trajectory"
+    noise = {group: noise_of_group(estimate.noise, group)}
     blocks = (block for block in problem.rows.blocks([motion]) if block.group == group)
     # Zero for the target: whole rows need no copy.
     covariance = None if estimate.full_covariance is None else np.pad(estimate.full_covariance, (0, 1))

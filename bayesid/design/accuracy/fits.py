@@ -143,7 +143,9 @@ def error_of(bench: Bench, problem: Problem, estimate: Estimate) -> np.ndarray:
     estimated = np.concatenate([np.ones(rank, bool), row_model.free])
     error = np.where(estimate.undetermined, np.nan, estimate.solution - full[estimated])
     found = np.full(len(bench.truth), np.nan)
-    found[: bench.rank] = [_combined(row, error[:rank]) for row in combinations(own.row_model.base, row_model.base)]
+    for k, row in enumerate(combinations(own.row_model.base, row_model.base)):
+        if np.isfinite(row).all():  # parts that it does not have may be undetermined
+            found[k] = row[row != 0.0] @ error[:rank][row != 0.0]
     # What is held at a value is wrong by how far that is from the truth; what the fit has not, its static run took away.
     names = [n for e in row_model.effects for n in e.column_names]
     held = np.zeros(len(names)) if row_model.point is None else row_model.point.values - full[rank:]
@@ -160,11 +162,6 @@ def prediction_error(bench: Bench, error: np.ndarray) -> float:
     """
     error = np.where(bench.estimate.undetermined, 0.0, error)
     return float(np.sqrt(max(error @ bench.prediction_gram @ error, 0.0)))
-
-
-def _combined(row: np.ndarray, error: np.ndarray) -> float:
-    """Error of a combination of parameters; parts that it does not have may be undetermined."""
-    return float(row[row != 0.0] @ error[row != 0.0]) if np.isfinite(row).all() else np.nan
 
 
 def combinations(wanted: BaseParameters, known: BaseParameters) -> np.ndarray:

@@ -284,7 +284,11 @@ def _outlook(bench: Bench, candidate: CandidateSensor, rel_std: float) -> Outloo
     motions = [replace(m.motion, static=None) for m in bench.motions]
     bandwidth = bench.problem.smoother.bandwidth
     model, segments = rows_of(experiment, sensor_set, motions, effects=bench.options.effects, bandwidth=bandwidth)
-    weigh = _weighting(bench, candidate, len(model.channels))
+    rate = 1.0 / min(usual_step(m.motion.table.times) for m in bench.motions if m.pieces)
+    # Faster samples are averaged over the time of one sample of the recording.
+    averaged = np.sqrt(rate / candidate.rate) if candidate.rate else 1.0
+    # From the channels to white readings of unit variance at the recording's rate (m, c).
+    weigh = candidate.reading_map(len(model.channels)) / (averaged * candidate.std[:, None])
     factor = reduce_rows(make_blocks(model, segments), lambda b: _combined(weigh, b)[:, :, :-1]).r
     expected = Expected(model.base, model.effect_names, model.effect_units, factor, factor, model)
     determined = shown(expected)
@@ -300,14 +304,6 @@ def _outlook(bench: Bench, candidate: CandidateSensor, rel_std: float) -> Outloo
         candidate, determined, model.base.parameter_names, link_std, prior_std,
         _effects(experiment, model, motions, links, terms, weigh), peak,
     )  # fmt: skip
-
-
-def _weighting(bench: Bench, candidate: CandidateSensor, channels: int) -> np.ndarray:
-    """Map from the channels to white readings of unit variance at the recording's rate (m, c)."""
-    rate = 1.0 / min(usual_step(m.motion.table.times) for m in bench.motions if m.pieces)
-    # Faster samples are averaged over the time of one sample of the recording.
-    averaged = np.sqrt(rate / candidate.rate) if candidate.rate else 1.0
-    return candidate.reading_map(channels) / (averaged * candidate.std[:, None])
 
 
 def _combined(weigh: np.ndarray, block: Block) -> np.ndarray:

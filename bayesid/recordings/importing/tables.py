@@ -40,7 +40,9 @@ def read_csv(path: Path) -> Stream:
     for name in header[: len(header) - trailing]:
         if header.count(name) > 1 and name:
             raise wrong(f"there are {header.count(name)} of it", key=f"column {cut(name)}", remedy="keep one")
-    skipped = first + named + _is_numbering(lines, first, separator)
+    cells = [cell.strip() for cell in _cells(lines[first], separator)]
+    numbered = len(cells) > 2 and cells == [str(k) for k in range(len(cells))]  # as pandas does where columns have no names
+    skipped = first + named + numbered
     widths = {len(_cells(line, separator)) for line in lines[skipped:] if line.strip()}
     if named and len(widths) == 1 and widths != {len(header)} and len(lines) > skipped + 1:
         problem = f"line {first + 1} names {len(header)} columns, but every row has {max(widths)} cells"
@@ -148,12 +150,6 @@ def _separates(mark: str, line: str) -> bool:
     """Whether what stands between these marks are numbers alone, which may have decimal commas where the mark is none."""
     cells = [cell.strip() for cell in _cells(line, mark)]
     return len(cells) > 1 and all(is_number(cell if mark == "," else cell.replace(",", ".")) for cell in cells if cell)
-
-
-def _is_numbering(lines: list[str], first: int, separator: str) -> bool:
-    """Whether a line numbers the columns from zero, as pandas does where they have no names."""
-    cells = [cell.strip() for cell in _cells(lines[first], separator)]
-    return len(cells) > 2 and cells == [str(k) for k in range(len(cells))]
 
 
 def _cells(line: str, separator: str) -> list[str]:
