@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from bayesid.regression.linalg import or_one, standard_deviations
+from bayesid.regression.linalg import correlations
 
 #: Parts that a recording is cut into. Fewer leave few degrees of freedom; in more of them little moves.
 PARTS = 8
@@ -71,12 +71,10 @@ def dispersions(whole: Rows, solution: np.ndarray, channels: Sequence[Rows] = ()
     if len(whole.grams) < 2:
         return nothing
     gram = np.sum([g[:p, :p] for g in whole.grams], axis=0)
-    length = or_one(standard_deviations(gram))
-    values, vectors = np.linalg.eigh(gram / np.outer(length, length))
-    keep = values > _SMALLEST * values.max(initial=0.0)
-    if not keep.any():
+    length, values, vectors = correlations(gram, _SMALLEST)
+    if not len(values):
         return nothing
-    root = vectors[:, keep] / np.sqrt(values[keep]) / length[:, None]  # root' A root = 1
+    root = vectors / np.sqrt(values) / length[:, None]  # root' A root = 1
     corrections = []
     for g in whole.grams:
         share, axes = np.linalg.eigh(root.T @ g[:p, :p] @ root)

@@ -26,7 +26,7 @@ from scipy.stats import chi2
 
 from bayesid.arguments import argument, call
 from bayesid.dynamics.base_parameters import BaseParameters
-from bayesid.regression.linalg import or_one, pseudo_inverse, standard_deviations
+from bayesid.regression.linalg import correlations, pseudo_inverse, standard_deviations
 
 #: Prior and data contradict each other where a distance like theirs is less probable than this.
 CONFLICT = 1e-3
@@ -157,11 +157,8 @@ def compared(
     half = rows[:, known] @ pseudo_inverse(root[:, known])
     prior, spread = rows @ mean, half @ half.T
     difference, total = values[k] - prior, covariance[np.ix_(k, k)] + spread
-    size = or_one(standard_deviations(total))
-    z = difference / size
-    spreads, directions = np.linalg.eigh(total / np.outer(size, size))
-    informed = spreads > 1e-12 * spreads[-1]  # in other directions, neither says anything
-    white = (directions[:, informed] / np.sqrt(spreads[informed])).T
+    size, spreads, directions = correlations(total, 1e-12)  # in other directions, neither says anything
+    z, white = difference / size, (directions / np.sqrt(spreads)).T
     squared = float(np.sum((white @ z) ** 2))
     probability = float(chi2.sf(squared, len(white)))
     widening = 1.0

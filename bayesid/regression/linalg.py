@@ -111,6 +111,17 @@ def standard_deviations(covariance: np.ndarray, smallest: float = 0.0) -> np.nda
     return np.sqrt(np.maximum(np.diag(covariance), smallest))
 
 
+def correlations(covariance: np.ndarray, smallest: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Standard deviations (p,), and the correlations' eigenvalues (m,) and eigenvectors (p, m) above a share of the largest.
+
+    One stands for a standard deviation of none; see `or_one`.
+    """
+    std = or_one(standard_deviations(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(std, std))
+    keep = values > smallest * values.max(initial=0.0)
+    return std, values[keep], vectors[:, keep]
+
+
 def at_least(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:
     """The matrix, larger where the other one is: both and the positive part of their difference, in units of their sum."""
     values, vectors = np.linalg.eigh(matrix + other)

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from bayesid.estimators.parameters import Parameters
-from bayesid.regression.linalg import or_one, standard_deviations
+from bayesid.regression.linalg import correlations, standard_deviations
 from bayesid.rounding import LEVEL
 
 #: Draws of a normal law that quantiles without a closed form are taken from.
@@ -54,23 +54,15 @@ def left_out(distances: np.ndarray, count: int) -> np.ndarray:
     return np.sqrt((count - 2) * share / rest) * count / (count - 1)
 
 
-def directions(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Standard deviations (k,), and those directions of the correlations that have a variance: values (m,), vectors (k, m)."""
-    std = or_one(standard_deviations(covariance), 0.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(std, std))
-    keep = values > _SMALLEST * max(float(values.max(initial=0.0)), 1e-300)
-    return std, values[keep], vectors[:, keep]
-
-
 def root_of(covariance: np.ndarray) -> np.ndarray:
     """L with ``L L'`` the covariance (k, m), its m directions that have a variance."""
-    std, values, vectors = directions(covariance)
+    std, values, vectors = correlations(covariance, _SMALLEST)
     return std[:, None] * vectors * np.sqrt(values)
 
 
 def mahalanobis(deviations: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """``sqrt(d' V^-1 d)`` of deviations (n, k), along the directions that have a variance (n,)."""
-    std, values, vectors = directions(covariance)
+    std, values, vectors = correlations(covariance, _SMALLEST)
     return np.linalg.norm((deviations / std) @ (vectors / np.sqrt(values)), axis=1)
 
 
@@ -167,7 +159,7 @@ class Region:
 
     @cached_property
     def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        std, values, vectors = directions(self.covariance)
+        std, values, vectors = correlations(self.covariance, _SMALLEST)
         return std[:, None] * vectors, values, vectors.T / std
 
     def table(self) -> Parameters:

@@ -27,6 +27,7 @@ from scipy.special import log_ndtr, ndtri_exp
 
 from bayesid.dynamics.kinematics import transform_matrix
 from bayesid.estimators.conic.problem import nearest_body
+from bayesid.regression.linalg import correlations
 from bayesid.robot import inertia
 from bayesid.rounding import HALF
 
@@ -96,11 +97,9 @@ class BodyKnowledge:
     @classmethod
     def of(cls, matrix: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> BodyKnowledge:
         """Knowledge from ``values = matrix @ p + e``, e ~ N(0, covariance), (r, 10) and (r,), by generalised least squares."""
-        size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         # Where data determine only sums of parameters, a covariance is zero along what they leave open: no knowledge either.
-        variances, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-        keep = variances > _OPEN * variances.max(initial=0.0)
-        turn = (vectors[:, keep] / np.sqrt(variances[keep])).T / size
+        size, variances, vectors = correlations(covariance, _OPEN)
+        turn = (vectors / np.sqrt(variances)).T / size
         white, target = turn @ matrix * _SIZES, turn @ values
         # A combination that is known far better than the others still has its say in the rank: rows of unit length.
         length = np.maximum(np.linalg.norm(white, axis=1), 1e-300)

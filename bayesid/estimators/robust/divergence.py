@@ -17,7 +17,7 @@ from bayesid.estimators.estimator import strongest
 from bayesid.estimators.factor import Factor, gram_rows
 from bayesid.estimators.robust.segments import Residuals
 from bayesid.regression.blocks import Block
-from bayesid.regression.linalg import UNSEEN, column_lengths, or_one, standard_deviations
+from bayesid.regression.linalg import UNSEEN, column_lengths, correlations
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -73,10 +73,8 @@ def informative(
         return block.matrix / noise[block.group].std[:, None]
 
     whole = gram_rows(read(), scaled)
-    length = or_one(standard_deviations(whole), 0.0)
-    values, vectors = np.linalg.eigh(whole / np.outer(length, length))
-    keep = values > _DETERMINED * values[-1]
-    whiten = vectors[:, keep] / np.sqrt(values[keep]) / length[:, None]
+    length, values, vectors = correlations(whole, _DETERMINED)
+    whiten = vectors / np.sqrt(values) / length[:, None]
     begins = ~accepted_rows & np.append(True, accepted_rows[:-1] | (residual.run[1:] != residual.run[:-1]))
     window = np.where(accepted_rows, -1, np.cumsum(begins) - 1)
     grams, power = np.zeros((int(begins.sum()), whiten.shape[1], whiten.shape[1])), np.zeros(int(begins.sum()))
