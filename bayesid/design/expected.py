@@ -19,7 +19,7 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.factor import gram_rows, reduce_rows, reduce_whitened
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.blocks import Block
-from bayesid.regression.linalg import determined_inverse, undetermined
+from bayesid.regression.linalg import correlations, determined_inverse, undetermined
 from bayesid.regression.problem import fastest_rate, model_structure, row_step, smoother_of
 from bayesid.regression.readings import make_channels
 from bayesid.regression.row_model import RowModel
@@ -159,14 +159,10 @@ def expected_factors(blocks: Callable[[], Iterable[Block]], noise: Mapping[str, 
     weight = {group: 1.0 / m.std[:, None] for group, m in noise.items()}
     r = reduce_rows(blocks(), lambda b: b.rows * weight[b.group]).matrix
     middle = gram_rows(blocks(), lambda b: noise[b.group].colour_transposed(b.matrix * weight[b.group] ** 2))
-    # With M the middle, R'R M^-1 R'R has the factor M^(-1/2) R'R; columns at unit length, for these are squares.
-    length = np.linalg.norm(r, axis=0)
-    seen = length > 1e-13 * length.max(initial=0.0)
-    scaled = r[:, seen] / length[seen]
-    values, vectors = np.linalg.eigh(middle[np.ix_(seen, seen)] / np.outer(length[seen], length[seen]))
-    some = values > 1e-13 * values.max(initial=0.0)
+    # With M the middle, R'R M^-1 R'R has the factor M^(-1/2) R'R.
+    length, values, vectors = correlations(middle, 1e-13)
     whole = np.zeros_like(r)
-    whole[: some.sum(), seen] = (vectors[:, some] / np.sqrt(values[some])).T @ scaled.T @ scaled * length[seen]
+    whole[: len(values)] = (vectors / np.sqrt(values) / length[:, None]).T @ r.T @ r
     return _triangular(whole), _triangular(r)
 
 

@@ -244,7 +244,7 @@ def twin(bench: Bench, setting: Setting, seed: int) -> Experiment:
     trajectories = [_shifted(m, setting, shift, aside) for m in bench.motions]
     plant = bench.plant
     for effect in _offsets(bench) if setting.offset else ():
-        plant.setdefault(effect.spec, dict(zip(effect.parameters, effect.typical(bench.experiment.robot), strict=True)))
+        plant.setdefault(effect.spec, {})  # of usual size
     exact = simulate(bench.experiment, trajectories, effects=plant, links=bench.links, recorder=_PERFECT)
     motions = []
     for m, own in zip(exact.motions, bench.motions, strict=True):
