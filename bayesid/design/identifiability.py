@@ -19,7 +19,7 @@ from bayesid.dynamics.channels import Channels
 from bayesid.effects.surroundings import STILL
 from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.recordings.experiment import Experiment, Motion
-from bayesid.regression.linalg import condition_number, determined_inverse, undetermined
+from bayesid.regression.linalg import condition_number, determined_inverse, root_of, undetermined
 from bayesid.regression.readings import has_readings, make_channels
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior, assumed_links, robot_prior, states_masses, with_sizes
@@ -147,13 +147,11 @@ def std_with_prior(rows: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.
 
     With the prior's covariance ``C = L L'``, R the information's factor and ``G = R L`` the covariance is ``L (1 + G'G)^-1 L'``.
     """
-    size = np.sqrt(np.diag(prior))
-    values, vectors = np.linalg.eigh(prior / np.outer(size, size))
-    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    root = root_of(prior)
     _, s, vt = np.linalg.svd(rows @ root)
-    share = np.ones(len(size))
+    share = np.ones(root.shape[1])
     share[: len(s)] = 1.0 / np.sqrt(1.0 + s**2)
-    return np.linalg.norm(root @ vt.T * share, axis=1), size
+    return np.linalg.norm(root @ vt.T * share, axis=1), np.sqrt(np.diag(prior))
 
 
 def link_expectations(

@@ -157,7 +157,7 @@ def compared(
     half = rows[:, known] @ pseudo_inverse(root[:, known])
     prior, spread = rows @ mean, half @ half.T
     difference, total = values[k] - prior, covariance[np.ix_(k, k)] + spread
-    size, spreads, directions = correlations(total, 1e-12)  # in other directions, neither says anything
+    size, spreads, directions = correlations(total)  # in other directions, neither says anything
     z, white = difference / size, (directions / np.sqrt(spreads)).T
     squared = float(np.sum((white @ z) ** 2))
     probability = float(chi2.sf(squared, len(white)))

@@ -80,8 +80,7 @@ def unshown(covariance: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     """
     at = np.flatnonzero(hidden)
     own = covariance[np.ix_(at, at)]
-    size = np.sqrt(np.maximum(np.diag(own), 0.0))
-    size = np.where(size > 0.0, size, 1.0)
+    size = or_one(standard_deviations(own), 0.0)
     values, vectors = np.linalg.eigh(own / np.outer(size, size))
     out = np.zeros((len(covariance), int(np.sum(values <= UNSEEN))))
     out[at] = vectors[:, values <= UNSEEN] / size[:, None]
@@ -111,7 +110,7 @@ def standard_deviations(covariance: np.ndarray, smallest: float = 0.0) -> np.nda
     return np.sqrt(np.maximum(np.diag(covariance), smallest))
 
 
-def correlations(covariance: np.ndarray, smallest: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def correlations(covariance: np.ndarray, smallest: float = 1e-12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Standard deviations (p,), and the correlations' eigenvalues (m,) and eigenvectors (p, m) above a share of the largest.
 
     One stands for a standard deviation of none; see `or_one`.
@@ -120,6 +119,12 @@ def correlations(covariance: np.ndarray, smallest: float) -> tuple[np.ndarray, n
     values, vectors = np.linalg.eigh(covariance / np.outer(std, std))
     keep = values > smallest * values.max(initial=0.0)
     return std, values[keep], vectors[:, keep]
+
+
+def root_of(covariance: np.ndarray) -> np.ndarray:
+    """L with ``L L'`` the covariance (p, m), its m directions that have a variance."""
+    std, values, vectors = correlations(covariance)
+    return std[:, None] * vectors * np.sqrt(values)
 
 
 def at_least(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayesid.design.bounds.region import Region, region_of_draws, region_of_normal, root_of
+from bayesid.design.bounds.region import Region, region_of_draws, region_of_normal
 from bayesid.dynamics.base_parameters import BaseParameters, spanned
 from bayesid.errors import InputError
 from bayesid.estimators.factor import channel_grams
@@ -25,7 +25,7 @@ from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.reflective_gibbs import ReflectiveGibbs
 from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.posterior.run import run
-from bayesid.regression.linalg import or_one, pseudo_inverse
+from bayesid.regression.linalg import or_one, pseudo_inverse, root_of
 from bayesid.regression.problem import Problem
 from bayesid.robot.prior import Prior
 from bayesid.robot.urdf import JointDynamics

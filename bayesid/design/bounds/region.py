@@ -28,13 +28,11 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from bayesid.estimators.parameters import Parameters
-from bayesid.regression.linalg import correlations, standard_deviations
+from bayesid.regression.linalg import correlations, root_of, standard_deviations
 from bayesid.rounding import LEVEL
 
 #: Draws of a normal law that quantiles without a closed form are taken from.
 NORMAL_DRAWS = 20_000
-#: Correlations are trusted to this share of the largest eigenvalue.
-_SMALLEST = 1e-12
 
 
 def quantile(values: np.ndarray, level: float) -> float:
@@ -54,15 +52,9 @@ def left_out(distances: np.ndarray, count: int) -> np.ndarray:
     return np.sqrt((count - 2) * share / rest) * count / (count - 1)
 
 
-def root_of(covariance: np.ndarray) -> np.ndarray:
-    """L with ``L L'`` the covariance (k, m), its m directions that have a variance."""
-    std, values, vectors = correlations(covariance, _SMALLEST)
-    return std[:, None] * vectors * np.sqrt(values)
-
-
 def mahalanobis(deviations: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """``sqrt(d' V^-1 d)`` of deviations (n, k), along the directions that have a variance (n,)."""
-    std, values, vectors = correlations(covariance, _SMALLEST)
+    std, values, vectors = correlations(covariance)
     return np.linalg.norm((deviations / std) @ (vectors / np.sqrt(values)), axis=1)
 
 
@@ -159,7 +151,7 @@ class Region:
 
     @cached_property
     def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        std, values, vectors = correlations(self.covariance, _SMALLEST)
+        std, values, vectors = correlations(self.covariance)
         return std[:, None] * vectors, values, vectors.T / std
 
     def table(self) -> Parameters:

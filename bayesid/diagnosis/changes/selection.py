@@ -15,6 +15,7 @@ from bayesid.diagnosis.changes.recording import LaterRecording
 from bayesid.diagnosis.changes.reference import Reference
 from bayesid.diagnosis.changes.scales import GAIN_SHARE, WANDER_FACTORS
 from bayesid.diagnosis.settings import Settings
+from bayesid.regression.linalg import root_of
 
 #: Changes with their log evidence, best first.
 Scores = tuple[tuple[Hypothesis, float], ...]
@@ -131,11 +132,8 @@ def _tolerance(reference: Reference, recording: LaterRecording, factor: float) -
     p, q = len(reference.solution), recording.rows.shape[1]
     friction, gains = factor * reference.wanders(friction=True), reference.wanders(friction=False)
     covariance = factor**2 * reference.covariance + np.diag(friction**2 + gains**2)
-    length = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    values, vectors = np.linalg.eigh(covariance / np.outer(length, length))
-    root = length[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     columns = gain_columns(reference)
-    return np.hstack([_at(q, np.arange(p), root), _at(q, columns, GAIN_SHARE * np.eye(len(columns)))])
+    return np.hstack([_at(q, np.arange(p), root_of(covariance)), _at(q, columns, GAIN_SHARE * np.eye(len(columns)))])
 
 
 def _at(count: int, columns: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -11,8 +11,8 @@ from bayesid.design.bounds.region import (
     quantile,
     region_of_draws,
     region_of_normal,
-    root_of,
 )
+from bayesid.regression.linalg import root_of
 
 
 def law(k, seed):
