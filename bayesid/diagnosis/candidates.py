@@ -68,7 +68,10 @@ class RippleScan:
             own = [c for c, _ in self.at]
             score = score + np.einsum("kjpa,kj->jpa", spectrum, pulled[:, own], optimize=True)
             gram = gram + np.einsum("kjpa,kjpb,kj->jpab", spectrum, spectrum, power[:, own], optimize=True)
-        gram = gram + 1e-9 * np.eye(2)
+        # Of a joint that stands still, sine and cosine are two constants and tell no more than one: a share of their size keeps
+        # the other, which is rounding, from counting.
+        size = 1.0 + np.trace(gram, axis1=2, axis2=3)
+        gram = gram + 1e-9 * size[..., None, None] * np.eye(2)
         gain = np.einsum("jpa,jpa->jp", score, np.linalg.solve(gram, score[..., None])[..., 0])
         for row, effect in enumerate(self.effects):
             yield effect, float(self.orders[int(np.argmax(gain[row]))])

@@ -150,3 +150,15 @@ def test_a_real_coupled_wrist_is_found(shared, tmp_path):
         for value, std, truth in zip(own.term.values, own.std, published.values(), strict=True):
             assert abs(value - truth) < 1.96 * std
     assert {w.channel for w in found.where[:2]} == {"tau5", "tau6"}
+
+
+def test_a_joint_that_stands_still_beside_one_that_moves_is_no_reason_to_fail(tmp_path):
+    """One joint after the other, as is advised: of one at rest, sine and cosine of the angle are constants that tell the same."""
+    setup = replace(puma_setup(tmp_path), effects=tuple(FRICTION))
+    moved = bayesid.simulate(setup, [bayesid.fourier_trajectory(setup.robot, duration=6.0, seed=1)], effects=FRICTION, seed=5)
+    table = moved.motions[0].table
+    q, tau = table.positions.copy(), table.torques.copy()
+    q[:, 0], tau[:, 0] = 0.5, 0.01 * np.random.default_rng(0).normal(size=len(q))
+    still = Experiment.from_arrays(setup.robot, table.times, q, torques=tau, effects=setup.effects)
+    result = diagnose(still, "torque")
+    assert not any(f.term.effect.spec.endswith("@joint1") for f in result.found)
