@@ -40,7 +40,7 @@ from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.excitation import NEXT_MOTION, telling_sentence
 from bayesid.validation.own_fit import before_and_after
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
-from bayesid.workflows.warnings import of_recordings, of_reference
+from bayesid.workflows.warnings import mistakes, of_recordings, of_reference
 
 
 class DiagnoseChoices(TypedDict, total=False):
@@ -146,8 +146,11 @@ def diagnose(
             return Changes(found, time.perf_counter() - since, said)
         diagnosis = missing(as_experiment(experiment), chosen, tell, seed, settings, progress)
         progress("signs, frames and units")
-        said = of_recordings(diagnosis.data.experiment, diagnosis.remarks, [f.term.effect.name for f in diagnosis.found])
-    return replace(diagnosis, remarks=said, seconds=time.perf_counter() - since)
+        recorded, following = diagnosis.data.experiment, diagnosis.next_experiment
+        if wrong := mistakes(recorded, [f.term.effect.name for f in diagnosis.found]):  # no new recording mends that
+            following = "Undo the mistake that the notes name, and diagnose again."
+        said = recorded.with_findings([*wrong, *diagnosis.remarks], validated=False)
+    return replace(diagnosis, remarks=said, next_experiment=following, seconds=time.perf_counter() - since)
 
 
 def missing(

@@ -49,8 +49,15 @@ def of_fit(
 def of_recordings(experiment: Experiment, notes: Iterable[str], named: Iterable[str] = ()) -> tuple[str, ...]:
     """What a verb has to say, after what is certainly wrong with the recordings, or most likely, and before what is doubtful.
 
-    For verbs that show no fit as `bayesid.identify` does: nothing that they find holds of readings with another sign or unit.
-    ``named`` are the effects that they found: what these explain is no mistake as well, nor is what nothing explains.
+    For verbs that show no fit as `bayesid.identify` does; ``named`` as in `mistakes`.
+    """
+    return experiment.with_findings([*mistakes(experiment, named), *notes], validated=False)
+
+
+def mistakes(experiment: Experiment, named: Iterable[str] = ()) -> list[str]:
+    """What is most likely wrong with the recordings: nothing that a verb finds holds of readings with another sign or unit.
+
+    ``named`` are the effects that it found: what these explain is no mistake as well, nor is what nothing explains.
     """
     from bayesid.validation.mistakes.search import find_mistakes
 
@@ -59,7 +66,7 @@ def of_recordings(experiment: Experiment, notes: Iterable[str], named: Iterable[
     wrong = [m.text for m in find_mistakes(experiment) if m.name not in explained]
     if wrong:
         wrong[-1] += ". Undo that first: the values here are of data with a mistake."
-    return experiment.with_findings([*wrong, *notes], validated=False)
+    return wrong
 
 
 def of_reference(reference: Experiment, said: Iterable[str] = ()) -> tuple[str, ...]:

@@ -162,3 +162,16 @@ def test_a_joint_that_stands_still_beside_one_that_moves_is_no_reason_to_fail(tm
     still = Experiment.from_arrays(setup.robot, table.times, q, torques=tau, effects=setup.effects)
     result = diagnose(still, "torque")
     assert not any(f.term.effect.spec.endswith("@joint1") for f in result.found)
+
+
+def test_what_to_do_next_about_a_mistake_is_to_undo_it(tmp_path):
+    setup = replace(puma_setup(tmp_path), effects=tuple(FRICTION))
+    motions = [
+        bayesid.fourier_trajectory(setup.robot, duration=8.0, seed=1),
+        bayesid.fourier_trajectory(setup.robot, "validation", "validation", duration=8.0, seed=2),
+    ]
+    right = bayesid.simulate(setup, motions, effects=FRICTION, seed=5)
+    turned = (replace(m, table=replace(m.table, torques=-m.table.torques)) for m in right.motions if m.table.torques is not None)
+    found = diagnose(replace(right, motions=tuple(turned)), "torque")
+    assert any("All joint torques seem to have the opposite sign" in note for note in found.remarks)
+    assert found.next_experiment == "Undo the mistake that the notes name, and diagnose again."
