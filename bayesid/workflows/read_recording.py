@@ -133,7 +133,7 @@ def read_recording(
     stated = replace(stated, **{key: {**getattr(stated, key), **more} for key, more in beside.items() if more})
     topics, joints = as_names(topics) or (), as_names(joints)
     _check_meant([*_paths(source), *_paths(validation)], topics=topics, clock=clock, episodes=episodes)
-    options = dict(topics=topics, mapped=stated.names(), episodes=episodes)
+    options = dict(topics=topics, mapped=stated.names(), episodes=episodes, poses=kind == "poses")
     times = stated_times(stated) if join_files else None
     given, held_out = _read(source, times, **options), _read(validation, times, **options)
     if not given:

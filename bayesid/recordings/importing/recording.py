@@ -30,12 +30,13 @@ _ARRAYS = {"numpy": read_npz, "mat": read_mat, "hdf5": read_hdf5}
 
 
 def read_source(
-    path: str | Path, topics: Sequence[str] = (), mapped: Iterable[str] = (), episodes: Sequence[int] = ()
+    path: str | Path, topics: Sequence[str] = (), mapped: Iterable[str] = (), episodes: Sequence[int] = (), poses: bool = False
 ) -> tuple[Source, ...]:
     """Read a bag, an MCAP file, a table, an archive of arrays, or a data set of LeRobot: the recordings in it, as they are.
 
-    Of a bag ``topics`` are read, and those of columns that are ``mapped``; of a data set its ``episodes``, default all. An
-    `InputError` where it is not there, of an unknown kind, or damaged.
+    Of a bag ``topics`` are read, and those of columns that are ``mapped``; of a data set its ``episodes``, default all.
+    ``poses`` says whether each row of a table is a separate pose. An `InputError` where the file is not there, of an unknown
+    kind, or damaged.
     """
     path = Path(path)
     if not path.exists():
@@ -49,7 +50,7 @@ def read_source(
         if kind in _ARRAYS:
             return (_ARRAYS[kind](path),)
         if kind in ("parquet", "text"):
-            return (Source(path.stem, (read_parquet(path) if kind == "parquet" else read_csv(path),)),)
+            return (Source(path.stem, (read_parquet(path) if kind == "parquet" else read_csv(path, poses),)),)
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror or error})", file=path.name, remedy="give a readable file") from None
     what, remedy = (
@@ -347,7 +348,7 @@ def read_stated(
     """
     if not path.exists():
         raise InputError(f"{name}: no such file; write it or correct the name in experiment.toml")
-    sources = read_source(path, mapped=stated.names())
+    sources = read_source(path, mapped=stated.names(), poses=poses)
     if len(sources) != 1:
         raise InputError(f"{name}: holds {len(sources)} recordings; make an experiment of them with {call('import')}")
     recording = make_recording(

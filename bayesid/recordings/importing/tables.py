@@ -15,6 +15,7 @@ import numpy as np
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, is_number, listed, one_line
 from bayesid.recordings.importing.stream import INFO, Source, Stream, array_columns, extra
+from bayesid.recordings.motion_checks import MIN_SAMPLES
 from bayesid.recordings.table_reader import EMPTY, count_lines
 
 _SEPARATORS = (",", ";", "\t", "|")
@@ -22,10 +23,11 @@ _SNIFFED = 20  # lines that tell what separates cells
 _LONGEST_LINE = 1 << 20  # of a text that is a table [bytes]
 
 
-def read_csv(path: Path) -> Stream:
+def read_csv(path: Path, poses: bool = False) -> Stream:
     """Read a table of texts; commas, semicolons, tabs, bars or blanks separate, and but for commas decimals may have one.
 
     Numbers without a header, such as a matrix that savetxt writes, are an array of the file's name: ``log[0]``, ``log[1]``, ...
+    Such a matrix (n, N) is turned, for samples outnumber columns, but for those of ``poses``, of which there may be a few.
     An `InputError` where it is binary, empty, or with rows of another width, as a file that was cut off has.
     """
     import pandas as pd
@@ -61,6 +63,8 @@ def read_csv(path: Path) -> Stream:
     if not len(frame):
         raise wrong("has a header but no rows", remedy="give one row per sample")
     columns = {name: frame[k].to_numpy() for k, name in enumerate(header) if name}
+    if not (named or poses) and len(columns) > max(len(frame), MIN_SAMPLES):
+        columns = array_columns(path.stem, np.squeeze(np.stack(list(columns.values()))))
     return Stream("", _with_stamps(_by_joint(columns)))
 
 

@@ -450,6 +450,20 @@ def test_what_is_wrong_with_what_is_stated_is_said_in_one_line(case, known, tmp_
     assert said in str(error.value) and "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("delimiter", [",", " "])
+def test_a_matrix_of_numbers_with_a_row_for_each_joint_is_turned(delimiter, known, tmp_path):
+    np.savetxt(tmp_path / "log.txt", np.hstack([known.q, known.tau]).T, delimiter=delimiter)
+    np.savetxt(tmp_path / "clock.txt", known.t[None], delimiter=delimiter)
+    meant = {"q": "log[0:2]", "tau": "log[2:4]", "t": "clock"}
+    whole = bayesid.read_recording(
+        [tmp_path / "log.txt", tmp_path / "clock.txt"], known.urdf, joints=JOINTS, columns=meant, join_files=True
+    )
+    table = whole.experiment.motions[0].table
+    np.testing.assert_allclose(table.positions, known.q)
+    np.testing.assert_allclose(table.torques, known.tau)
+    np.testing.assert_allclose(table.times, known.t)
+
+
 @pytest.mark.parametrize("there", [0, 1])
 def test_torques_of_some_joints_under_our_own_names_are_read_as_a_folder_reads_them(there, known, tmp_path):
     frame = pd.DataFrame({"t": known.t, "q1": known.q[:, 0], "q2": known.q[:, 1], f"tau{there + 1}": known.tau[:, there]})
