@@ -11,7 +11,7 @@ import numpy as np
 
 from bayesid.design.tell.choose import Telling
 from bayesid.diagnosis.candidates import Proposal, least_visible
-from bayesid.diagnosis.data import DiagnosisData, Episode
+from bayesid.diagnosis.data import FAR, DiagnosisData, Episode
 from bayesid.diagnosis.description.describe import Description
 from bayesid.diagnosis.gap import LEAST_GAP
 from bayesid.diagnosis.in_part import InPart
@@ -323,7 +323,8 @@ def part_sentence(diagnosis: Diagnosis) -> str:
     text = f"With each of {part.held_out_parts} {held_out_text(d.data, part.held_out_parts)}, {closes} "
     text += "all of the gap" if none else f"{percent(1.0 - part.remainder)} of the gap and {percent(part.remainder)} stays"
     if part.courses[-1] == 0.0:
-        text += ", the noise, which is not known, included"
+        known = d.data.floor_source == FAR  # known, but not what weighs rows that hold far more
+        text += f", the noise{'' if known else ', which is not known,'} included"
     places = [w for w in d.remainder if not w.event]
     channels = listed(list(dict.fromkeys(w.channel for w in places))[:_CHANNELS_SAID])
     joints = listed(list(dict.fromkeys(w.joint for w in places[:_SHOWN] if w.joint)))

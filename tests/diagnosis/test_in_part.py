@@ -14,7 +14,7 @@ from bayesid import diagnose
 from bayesid.diagnosis import in_part
 from bayesid.diagnosis.candidates import make_library
 from bayesid.diagnosis.choice import Choice
-from bayesid.diagnosis.data import model_rows, residual_rows
+from bayesid.diagnosis.data import FAR, model_rows, residual_rows
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.forward import unrelated
 from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scaled
@@ -139,6 +139,13 @@ def test_where_nothing_stays_the_reason_is_told_instead(diagnosis):
     s = diagnosis.search
     (why,) = [r for r in remarks(s, said.gap, "named_in_part", "surrogates", (), part) if "Named in part" in r]
     assert "unrelated effects" in why
+
+
+def test_noise_that_the_readings_are_far_above_is_not_called_unknown(diagnosis):
+    """The errors beside it are told in units of that noise."""
+    counted = replace(diagnosis, part=replace(diagnosis.part, courses=(*diagnosis.part.courses[:-1], 0.0)))
+    for source, said in ((FAR, "stays, the noise included"), ("richest model", "stays, the noise, which is not known, included")):
+        assert said in str(replace(counted, data=replace(counted.data, floor_source=source)))
 
 
 def test_parts_of_one_recording_are_called_that(diagnosis):
