@@ -77,6 +77,11 @@ def remarks(
         out += _in_part(search, reason)
     if data.floor_source != WHITE:  # the usual one needs no word
         out.append(SOURCES[data.floor_source])
+    if any(x.between_turns for x in data.segments):
+        out.append(
+            "Torques within 0.05 s of where their joint turns or rests are not judged, for most of what spoke for "
+            "something missing came from there: friction may stick there, and holds anything. Errors of motions count them."
+        )
     found = () if verdict == "unknown" else search.found
     out += _of_the_model(search, found, gap)
     out += _of_the_validation(search, found, gap, part if verdict == "named_in_part" else None)

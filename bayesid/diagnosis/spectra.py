@@ -18,7 +18,7 @@ from functools import cached_property
 import numba
 import numpy as np
 from scipy.fft import dct, idct
-from scipy.ndimage import binary_opening, convolve, uniform_filter1d
+from scipy.ndimage import binary_opening, convolve, distance_transform_edt, uniform_filter1d
 
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.effects import REST_SPEED, MotionSegment
@@ -58,6 +58,7 @@ class SpectralSegment:
     covariance: np.ndarray  # of the coefficients (K, c, c); empty until it is known
     instant: bool = False  # whether a reading is the value at its time; otherwise it is the mean over one sample's time
     settings: Settings = DEFAULT  # the diagnosis' thresholds
+    between_turns: bool = False  # whether torques have little weight where their joint turns
     left_out: tuple[float, float] | None = None  # start and end of a time that has no weight [s]: something else acted then
     #: Coefficients of columns that are the same for any noise.
     kept: Results = field(default_factory=lambda: Results(_KEPT), init=False, repr=False)
@@ -189,16 +190,27 @@ class SpectralSegment:
 
     @cached_property
     def _moving(self) -> np.ndarray:
-        """1 where a joint moves, 0 where it rests for longer than `Settings.moment`, with smooth flanks (M, n)."""
+        """1 where a joint moves, 0 where it rests for longer than `Settings.moment`, with smooth flanks (M, n).
+
+        And 0 where it turns, if torques are compared `between_turns`.
+        """
         step = float(np.median(np.diff(self.trajectory.times)))
         length = max(int(self.settings.moment / step), 1)
+        velocities = self.trajectory.velocities
         # Encoder counts make single velocities noisy; a mean over a rest is not, and one over a reversal is soon past zero.
-        speed = np.abs(uniform_filter1d(self.trajectory.velocities, length, axis=0))
-        rest = speed < np.maximum(self.settings.rest_share * speed.max(axis=0), 2.0 * REST_SPEED)
+        speed = np.abs(uniform_filter1d(velocities, length, axis=0))
+        slow = np.maximum(self.settings.rest_share * speed.max(axis=0), 2.0 * REST_SPEED)
         # A rest that lasts: opening (erosion, then dilation) along time. Then the flanks.
-        rest = binary_opening(rest, np.ones((length, 1), bool))
+        rest = binary_opening(speed < slow, np.ones((length, 1), bool))
         wide = np.hanning(2 * length + 3)[1:-1, None]
-        return np.clip(1.0 - convolve(rest.astype(float), wide / wide.sum() * 2.0, mode="nearest"), 0.0, 1.0)
+        moving = np.clip(1.0 - convolve(rest.astype(float), wide / wide.sum() * 2.0, mode="nearest"), 0.0, 1.0)
+        turns = np.abs(velocities) < slow
+        turns[1:] |= velocities[1:] * velocities[:-1] < 0.0
+        for joint, at in enumerate(turns.T):
+            if self.between_turns and at.any():
+                away = np.asarray(distance_transform_edt(~at)) * step / (0.5 * self.settings.moment)
+                moving[:, joint] *= np.sin(0.5 * np.pi * np.minimum(away, 1.0)) ** 2
+        return moving
 
     def samples(self, coefficients: np.ndarray) -> np.ndarray:
         """The band-limited signal (N, ...) of coefficients (K, ...)."""

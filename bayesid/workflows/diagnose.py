@@ -28,6 +28,7 @@ from bayesid.diagnosis.remarks import next_experiment, remarks
 from bayesid.diagnosis.search import Found, Search, certain, holds_below, leaves_noise, search, search_from
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.stability import Stability, stability
+from bayesid.diagnosis.turns import between_turns
 from bayesid.diagnosis.validation import Gap, residual_spectra, validate
 from bayesid.diagnosis.verdict import Reason, Verdict, denied, evidence_of, named_in_part, verdict
 from bayesid.errors import InputError
@@ -197,6 +198,12 @@ def missing(
         if push is None and not closed and (below := holds_below(result.search, named)) < inf:
             again = searched(prepared(below))
             result = result if again.verdict == "unknown" else again
+        named = result.verdict != "unknown"
+        between = between_turns(whole, result.search, named, seed)
+        if between is not None:
+            progress("between the times at which joints turn")
+            again = searched(between)
+            result = result if named and again.verdict == "unknown" else again
         tried = None
         if result.verdict == "unknown":
             progress("effects that held-out recordings confirm")
