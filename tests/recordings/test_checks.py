@@ -113,6 +113,10 @@ def lost_beside_a_gap(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.drop(index=[150, *range(200, 230)])
 
 
+def late_reading(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.assign(q1=np.where(frame.index > 0, 0.3, 0.27), v1=0.005)
+
+
 DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("an end stop", against_the_stop, ("validation.csv: column q2: elbow stands at -0.3", "lower end stop", "-0.31")),
     ("no inertial", no_inertial, ("robot.urdf: link lower: no <inertial>",)),
@@ -128,6 +132,7 @@ DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("logger stall", table(stall, "validation.csv"), ("validation.csv: 6 rows repeat", "2.01 to 2.06 s")),
     ("encoder slips", table(slip, "validation.csv"), ("column q1: shoulder jumps by 1.4", "2.99 s", "encoder")),
     ("never moves", table(lambda d: d.assign(q1=0.3, v1=0.0), "validation.csv"), ("column q1: shoulder never moves",)),
+    ("at rest but for its first row", table(late_reading, "validation.csv"), ("column q1: shoulder stands at 0.3 from 0.01",)),
     ("beyond a limit", table(beyond, "validation.csv"), ("column q2: elbow", "-2.5 to 2.5 rad")),
     ("velocity off by 1.5", table(lambda d: d.assign(v1=1.5 * d["v1"])), ("column v1: 1.5 times", "q1 of shoulder")),
     ("dead channel", table(lambda d: d.assign(my=0.25), "validation.csv"), ("column my: 0.25 in every row",)),
