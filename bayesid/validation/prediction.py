@@ -390,6 +390,9 @@ def judged(prediction: Prediction) -> Judgement:
             mood, f"the sensor's own noise is not known here, so nothing says how much of that is missing in the model{wrong}"
         )
     if white <= TOLERATED * prediction.expected_rms:
+        if worse_than_nothing(error):
+            text = "no prediction at all would be closer, though sensors' noise and what encoders' errors make of it are as large"
+            return Judgement("fair", text)
         if error > _NAMED:
             return Judgement("fair", "that is the sensor's noise: the readings of this motion hold little else, and prove little")
         if worse_than_nothing(share):

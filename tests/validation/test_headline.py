@@ -119,6 +119,8 @@ def test_noise_alone_proves_little():
         1.0, one, 0.95, 1.0, "readings",
     )  # fmt: skip
     assert judged(quiet).mood == "fair" and "prove little" in judged(quiet).text
+    wild = judged(dataclasses.replace(quiet, nrmse=300.0 * one, nrmse_raw=300.0 * one, rmse=300.0 * one, whitened_rms=0.01))
+    assert wild.mood == "fair" and "no prediction at all would be closer" in wild.text and "hold little else" not in wild.text
     good = dataclasses.replace(quiet, nrmse=0.02 * one, nrmse_raw=0.02 * one)
     assert judged(good).mood == "good"
     assert judged(dataclasses.replace(good, whitened_rms=4.0)).mood == "fair"
