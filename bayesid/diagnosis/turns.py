@@ -20,24 +20,17 @@ from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.spectra import SpectralSegment
 
 
-def between_turns(whole: DiagnosisData, s: Search, named: bool, seed: int) -> DiagnosisData | None:
-    """The recordings between the times at which joints turn, if what a search says is of these times; else None.
-
-    It is where the effects found are ``named`` and most of the evidence for one of them, which is no dry friction itself, comes
-    from there; and where they are not, if most of what they leave above the noise is there.
-    """
+def between_turns(whole: DiagnosisData, s: Search, seed: int) -> DiagnosisData | None:
+    """The recordings between the times at which joints turn, if most of what a search leaves above the noise is there."""
     if whole.channel == "wrench" or whole.poses or not whole.floor_known:
         return None
     parts = (_between(whole.segments), _between(whole.unseen))
     between = with_noise_of(replace(whole, segments=parts[0], unseen=parts[1]), whole.links, whole.terms, seed)
-    terms, share = s.best.terms, 1.0 - whole.settings.most
+    terms = s.best.terms
     every, some = (fit(make_projector(data, terms), terms, s.best) for data in (whole, between))
-    if not named:
-        chance = whole.settings.detected * np.sqrt(2.0 / every.projector.rows)
-        return between if _excess(some) < share * _excess(every) and _excess(every) > chance else None
-    known = len(s.base.terms)
-    wet = [k for k, t in enumerate(terms) if k >= known and not t.effect.reverses_at_once]
-    return between if any(_evidence(some, k) < share * _evidence(every, k) for k in wet) else None
+    chance = whole.settings.detected * np.sqrt(2.0 / every.projector.rows)
+    left = (1.0 - whole.settings.most) * _excess(every)
+    return between if _excess(some) < left and _excess(every) > chance else None
 
 
 def _between(segments: Sequence[SpectralSegment]) -> tuple[SpectralSegment, ...]:
@@ -47,9 +40,3 @@ def _between(segments: Sequence[SpectralSegment]) -> tuple[SpectralSegment, ...]
 def _excess(fitted: Fit) -> float:
     """Mean square of whitened residuals above that of noise."""
     return fitted.chi2 / fitted.projector.rows - 1.0
-
-
-def _evidence(fitted: Fit, index: int) -> float:
-    """Log evidence for one of the terms beside the others."""
-    others = tuple(t for k, t in enumerate(fitted.terms) if k != index)
-    return fitted.score - fit(fitted.projector, others, fitted).score

@@ -198,12 +198,10 @@ def missing(
         if push is None and not closed and (below := holds_below(result.search, named)) < inf:
             again = searched(prepared(below))
             result = result if again.verdict == "unknown" else again
-        named = result.verdict != "unknown"
-        between = between_turns(whole, result.search, named, seed)
+        between = between_turns(whole, result.search, seed) if result.verdict == "unknown" else None
         if between is not None:
             progress("between the times at which joints turn")
-            again = searched(between)
-            result = result if named and again.verdict == "unknown" else again
+            result = searched(between)
         tried = None
         if result.verdict == "unknown":
             progress("effects that held-out recordings confirm")
