@@ -217,7 +217,7 @@ def _steps(table: Table) -> list[str]:
         said.append(f"{of} missing{' elsewhere' * bool(len(gaps))}, {which}after {first:.6g} s")
     if not said:
         return uneven
-    apart = "the pieces between gaps are treated apart, " * bool(len(gaps))
+    apart = "the pieces between gaps are treated apart, too short ones left out, " * bool(len(gaps))
     return [*uneven, f"{start}{'; '.join(said)} (a step is usually {table.step:.4g} s); {apart}check the logger"]
 
 

@@ -463,7 +463,7 @@ def _choose(experiment: Experiment, motions: Sequence[str] | None) -> list[Motio
 def _require_length(motion: Motion, segments: Sequence[Segment | LongSegment], row_model: RowModel) -> None:
     """Check that something of a motion is left where its trajectory has settled."""
     moving = [s for s in segments if not s.poses]
-    if moving and not any(np.ptp(s.inner(row_model.margin)) for s in moving):
+    if moving and not any(np.ptp(s.inner(row_model.margin)) >= 2 for s in moving):
         longest = max(s.ends[1] - s.ends[0] for s in moving)
         lost = max(s.lost(row_model.margin) for s in moving)
         raise InputError(

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.effects import MotionSegment
-from bayesid.errors import InputError
 from bayesid.regression.blocks import Block
 from bayesid.regression.parallel import in_order
 from bayesid.regression.row_model import RowModel
@@ -64,7 +63,9 @@ def make_blocks(
                 b = min(a + _CHUNK, len(segment.times))
                 yield Block((samples or row_model.samples)(segment, a, b), segment.times[a:b], segment.motion, a == 0, "poses")
             continue
-        a, b = _inner(row_model, segment)
+        a, b = segment.inner(row_model.margin)
+        if b - a < 2:  # between gaps, too short for the smoothed trajectory to settle: it says nothing
+            continue
         start = segment.times[a] + 0.5 * row_model.step
         total = _count(row_model, float(segment.times[a]), float(segment.times[b - 1]))
         if row_model.filters:
@@ -72,18 +73,6 @@ def make_blocks(
         else:
             parts = _direct(row_model, segment, range(a, b), samples, start)
         yield from _merge(row_model, parts, start, range(total), segment.motion, kept)
-
-
-def _inner(row_model: RowModel, segment: Segment | LongSegment) -> tuple[int, int]:
-    """First and last sample (exclusive) that rows are made of."""
-    a, b = segment.inner(row_model.margin)
-    if b - a < 2:
-        begin, end = segment.ends
-        raise InputError(
-            f"a segment of {end - begin:.3g} s from t = {begin:.6g} is too short for {row_model.bandwidth:.3g} Hz; leave it "
-            "out or record longer without gaps"
-        )
-    return a, b
 
 
 def _count(row_model: RowModel, begin: float, end: float) -> int:
@@ -132,11 +121,10 @@ class RowChunk:
 
 
 def row_chunks(row_model: RowModel, segment: LongSegment) -> list[RowChunk]:
-    """The rows of a recording that is read in chunks: how they are divided depends on the recording alone.
-
-    An `InputError` where the segment is too short.
-    """
-    a, b = _inner(row_model, segment)
+    """The rows of a recording that is read in chunks: how they are divided depends on the recording alone."""
+    a, b = segment.inner(row_model.margin)
+    if b - a < 2:
+        return []
     begin, end = segment.time(a), segment.time(b - 1)
     start, total = begin + 0.5 * row_model.step, _count(row_model, begin, end)
     usual, spacing = (end - begin) / (b - 1 - a), None

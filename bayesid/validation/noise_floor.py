@@ -170,7 +170,7 @@ def _by_repeats(problem: Problem, moving: Sequence[Segment], encoder: np.ndarray
     """
     row_model = replace(problem.row_model, filters=None)
     margin, solution = row_model.margin, learn_weights(problem.regression).solution
-    used = [s for s in moving if np.ptp(s.inner(margin))]
+    used = [s for s in moving if np.ptp(s.inner(margin)) >= 2]
     spans = [s.times[slice(*s.inner(margin))] for s in used]
     grids = [np.arange(t[0], t[-1], 1.0 / RATE) for t in spans]
     courses = [(t, row_model.smoothed(s, t).positions) for s, t in zip(used, grids, strict=True) if len(t) > 1]
@@ -209,7 +209,7 @@ def _encoder_power(problem: Problem, moving: Sequence[Segment], top: float) -> n
         length = min(len(s.times), _SIMULATED_SAMPLES // _PIECES)
         first = (len(s.times) - length) // 2
         pieces.append(s.part(first, first + length))
-    pieces = [p for p in pieces if np.ptp(p.inner(row_model.margin))]
+    pieces = [p for p in pieces if np.ptp(p.inner(row_model.margin)) >= 2]
     if not pieces:
         return power
     law, _ = errors_of(row_model, pieces, problem.smoother)

@@ -178,7 +178,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
     """
     segments = problem.segments[motion.name]
     margin = problem.row_model.margin
-    moving = [r for r in segments if not r.poses and np.ptp(r.inner(margin))] or [r for r in segments if r.poses]
+    moving = [r for r in segments if not r.poses and np.ptp(r.inner(margin)) >= 2] or [r for r in segments if r.poses]
     error, raw, times, measured, residuals = [], [], [], [], []
     for segment in moving:
         a, b = segment.inner(0.0 if segment.poses else margin)  # where the smoothed trajectory is sound

@@ -52,6 +52,13 @@ def like_all_samples(problem, share=2e-2):
     return off.max() > 0.0, rank, len(one)
 
 
+def bursts_lost(motion):
+    """Two bursts of messages lost, with 0.14 s between them."""
+    t = motion[0]
+    kept = ~((t >= 3.0) & (t < 3.06) | (t >= 3.2) & (t < 3.26))
+    return tuple(part[kept] for part in motion)
+
+
 def uneven(motion):
     """A third of the samples, at uneven times."""
     taken = np.arange(1, len(motion[0]) - 1, 3)
@@ -126,3 +133,12 @@ def test_a_class_says_itself_how_its_column_is_made():
 def test_rows_of_recorded_arms(name, bandwidth, shared):
     problem = prepare(bayesid.load_experiment(shared(f"data/{name}")), FitOptions("torque", bandwidth=bandwidth))
     like_all_samples(problem)
+
+
+def test_a_piece_between_gaps_that_is_too_short_is_left_out_and_the_rest_is_used(tmp_path):
+    """The whole recording was refused for it."""
+    robot = load_robot(write(tmp_path, panda()))
+    problem = prepare(recorded(robot, duration=12.0, changed=bursts_lost), FitOptions("torque", bandwidth=5.0))
+    times = np.concatenate([block.times for block in make_blocks(problem.row_model, problem.fitted_segments)])
+    assert times.min() < 1.0 and times.max() > 11.0
+    assert not ((times > 2.9) & (times < 3.4)).any()
