@@ -21,7 +21,7 @@ ARM = f"""<robot name="arm"><link name="base"/><link name="link"><inertial><orig
 <limit lower="-7" upper="7" effort="100" velocity="5"/></joint></robot>"""
 
 
-def driven(seed: int, duration: float = 15.0) -> tuple[Table, np.ndarray]:
+def driven(seed: int, duration: float = 8.0) -> tuple[Table, np.ndarray]:
     """What encoder and drive say of a motion that a position controller of 8 Hz follows, and for how long each halt was [s].
 
     The friction of a step is what stops the joint, if it can be; otherwise all of it.
