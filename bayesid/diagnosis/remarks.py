@@ -79,8 +79,9 @@ def remarks(
         out.append(SOURCES[data.floor_source])
     if any(x.between_turns for x in data.segments):
         out.append(
-            "Torques within 0.05 s of where their joint turns or rests are not judged, for most of what spoke for "
-            "something missing came from there: friction may stick there, and holds anything. Errors of motions count them."
+            f"Torques within {0.5 * data.settings.moment:g} s of where their joint turns or rests are not judged, for most of "
+            "what spoke for something missing came from there: friction may stick there, and holds anything. Errors of motions "
+            "count them."
         )
     found = () if verdict == "unknown" else search.found
     out += _of_the_model(search, found, gap)

@@ -16,7 +16,7 @@ _SLENDERNESS, _DENSITY = 4.0, 1000.0
 _RADIUS = 0.05
 #: Length from which a link without a mass is no mere frame, as those between the joints of a wrist are [m].
 _LENGTH = 0.01
-#: A body that is guessed is known to so many times a usual one of its robot.
+#: Relative standard deviation of a body that is guessed, of the mean of its robot's bodies.
 GUESS_STD = 10.0
 
 
@@ -105,8 +105,8 @@ class Prior:
     def around(cls, links: np.ndarray, rel_std: float, guessed: np.ndarray) -> Prior:
         """Links of a robot: `warped` nominal ones, and guessed ones, whose size is not known either.
 
-        A guess may be off by ten times the mean of all bodies (`nominal` about that mean), whatever ``rel_std`` is; where all
-        bodies are guesses, ``rel_std`` is theirs.
+        A guess is as uncertain as the mean of all bodies is with ten times its own size (`nominal`), or ``rel_std`` times if that
+        is more; where all bodies are guesses, ``rel_std`` is theirs.
 
         Parameters
         ----------
