@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
@@ -60,6 +62,11 @@ def names(given: str | Iterable[str] | None) -> tuple[str, ...] | None:
     if given is None:
         return None
     return (given,) if isinstance(given, str) else tuple(given)
+
+
+def unmasked(given: Any) -> Any:
+    """What was given for numbers: an array of numpy's with a mask holds nan there, which `numpy.asarray` would uncover."""
+    return given.astype(float).filled(np.nan) if isinstance(given, np.ma.MaskedArray) and given.dtype.kind in "biuf" else given
 
 
 def with_given(options: _O, **given: Any) -> _O:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from bayesid.arguments import unmasked
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import columns_of
 
@@ -236,7 +237,7 @@ class Table:
 
 def seconds(times: object, source: str) -> np.ndarray:
     """Times as numbers (N,) [s]: dates and durations, whose unit is known, count from the first."""
-    given = np.asarray(times)
+    given = np.asarray(unmasked(times))
     if given.dtype.kind == "O" and given.ndim == 1 and any(isinstance(one, datetime) for one in given[:2]):
         from pandas import DatetimeIndex, to_datetime  # as above
 
@@ -249,9 +250,9 @@ def seconds(times: object, source: str) -> np.ndarray:
 
 
 def _floats(given: object, what: str) -> np.ndarray:
-    """Numbers as a float64 array, a view where they are one already."""
+    """Numbers as a float64 array, a view where they are one already; nan where they are masked."""
     try:
-        return np.asarray(given, dtype=np.float64)
+        return np.asarray(unmasked(given), dtype=np.float64)
     except (TypeError, ValueError):
         with contextlib.suppress(AttributeError, TypeError, ValueError):  # what pandas calls NA has no number
             return cast(Any, given).to_numpy(dtype=np.float64, na_value=np.nan)

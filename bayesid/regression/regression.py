@@ -12,6 +12,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from bayesid.arguments import unmasked
 from bayesid.dynamics.base_parameters import BaseParameters, regroup
 from bayesid.errors import InputError
 from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
@@ -188,7 +189,7 @@ class Regression:
             raise InputError(f"times and motions must have one entry for each of the {samples} samples")
         if low_pass is not None and times is None:
             raise InputError("low_pass is given without times; give the times of the samples, too")
-        clock = np.arange(samples, dtype=float) if times is None else np.asarray(times, float)
+        clock = np.arange(samples, dtype=float) if times is None else np.asarray(unmasked(times), float)
         _require_finite("times", clock)
         labels = list(dict.fromkeys(ids.tolist()))
         base = _base_of(matrix, names, units)
@@ -215,7 +216,7 @@ class Regression:
 
 def _checked_pair(matrix: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Regressor (samples, channels, parameters) and measurements (samples, channels) as finite arrays, or an `InputError`."""
-    matrix, target = np.asarray(matrix, float), np.asarray(target, float)
+    matrix, target = (np.asarray(unmasked(array), float) for array in (matrix, target))
     if matrix.ndim != 3 or target.shape != matrix.shape[:2]:
         raise InputError(
             f"matrix {matrix.shape} and target {target.shape}: give (samples, channels, parameters) and (samples, channels)"
@@ -231,7 +232,7 @@ def _checked_like(given: np.ndarray | None, matrix: np.ndarray, argument: str, a
     """An optional finite array of so many axes, the last three of which are the matrix's, or an `InputError`."""
     if given is None:
         return None
-    array = np.asarray(given, float)
+    array = np.asarray(unmasked(given), float)
     if array.ndim != axes or array.shape[-3:] != matrix.shape or not array.size:
         wanted = "(samples, channels, parameters)" if axes == 3 else "(draws, samples, channels, parameters)"
         raise InputError(f"{argument} has shape {array.shape} beside a matrix of {matrix.shape}; give {wanted}")
@@ -243,7 +244,7 @@ def _checked_noise(given: Sequence[float] | np.ndarray | None, shape: tuple[int,
     """Known standard deviations (channels,) or (samples, channels) as a finite array above zero, or an `InputError`."""
     if given is None:
         return None
-    std = np.asarray(given, float)
+    std = np.asarray(unmasked(given), float)
     if std.shape not in (shape, shape[1:]):
         raise InputError(f"noise_std has shape {std.shape}; give one a channel {shape[1:]} or a sample and channel {shape}")
     if not (np.isfinite(std) & (std > 0)).all():

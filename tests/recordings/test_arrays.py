@@ -76,6 +76,16 @@ def test_dates_and_durations_count_from_the_first(arm) -> None:
     np.testing.assert_allclose(Table(late, first[Q]).times, first.t[1:] - first.t[1], atol=1e-8)
 
 
+def test_what_numpy_masks_is_a_reading_that_is_missing(arm) -> None:
+    _, first, _ = arm
+    positions = np.ma.masked_array(first[Q].to_numpy(), mask=False)
+    positions[4, 1] = np.ma.masked
+    times = np.ma.masked_array(first.t.to_numpy(), mask=np.arange(len(first)) == 7)
+    table = Table(times, positions, torques=first[TAU])
+    np.testing.assert_array_equal(table.times, np.delete(first.t, [4, 7]))
+    np.testing.assert_array_equal(table.torques, np.delete(first[TAU], [4, 7], axis=0))
+
+
 def test_what_pandas_calls_missing_is_a_reading_that_is_missing(arm) -> None:
     _, first, _ = arm
     torques = first[TAU].astype("Float64")

@@ -138,6 +138,10 @@ def test_arrays_of_ones_own(tmp_path):
     [
         (dict(target=np.zeros((3, 2))), "give .samples, channels, parameters."),
         (dict(matrix=np.full((10, 2, 3), np.nan)), r"matrix\[0, 0, 0\] is not finite"),
+        (
+            dict(target=np.ma.masked_array(np.zeros((10, 2)), mask=np.arange(20).reshape(10, 2) == 7)),
+            r"target\[3, 1\] is not finite",
+        ),
         (dict(parameter_names=["a"]), "1 names for 3 columns"),
         (dict(parameter_names=["a", "b", "a"]), "parameter_names: 'a' is there twice"),
         (dict(bodies=[[0, 1]]), r"bodies\[0\] = \[0, 1\]: give ten columns"),
