@@ -200,7 +200,7 @@ class Experiment(Plots):
         wrench: ArrayLike | None = None,
         velocities: ArrayLike | None = None,
         commanded: ArrayLike | None = None,
-        validation: Mapping[str, ArrayLike] | Table | Sequence[Mapping[str, ArrayLike] | Table] = (),
+        validation: Mapping[str, ArrayLike] | Table | Sequence[Mapping[str, ArrayLike] | Table] | None = None,
         sensor: Sensor | str | None = None,
         joints: Sequence[str] | None = None,
         locked: Mapping[str, float] | None = None,
@@ -258,23 +258,26 @@ class Experiment(Plots):
         """
         if isinstance(sensor, str):
             sensor = Sensor(None if sensor == "base" else sensor)
+        if not isinstance(sensor, Sensor | None):
+            raise InputError(f'sensor: is a {type(sensor).__name__}; give a Sensor, "base", or the name of a joint')
         if sensor is None and wrench is not None:
             sensor = Sensor(urdf.sensor_joint if isinstance(urdf, Robot) else None)
+        locked = {} if locked is None else dict(locked)
         warnings: list[str] = []
         if isinstance(urdf, Robot):
             robot = urdf
             check_loaded(robot, joints, None if gravity is _GRAVITY else gravity)
         else:
             robot = load_robot(urdf, joints, locked, gravity, None if sensor is None else sensor.joint)
-            warnings += robot_doubts(robot, locked or {}, "")
+            warnings += robot_doubts(robot, locked, "")
         effects = [part.strip() for part in effects.split(",")] if isinstance(effects, str) else effects
         own, values = with_stated_effects(robot, effects)
         recording = dict(t=t, q=q, torques=torques, wrench=wrench, velocities=velocities, commanded=commanded)
-        held_out = [validation] if isinstance(validation, (Table, Mapping)) else list(validation)
+        held_out = list(validation) if isinstance(validation, list | tuple) else [] if validation is None else [validation]
         motions = []
         for k, given in enumerate([recording, *held_out]):
             called = "identification" if k == 0 else "validation" if len(held_out) == 1 else f"validation{k}"
-            table = given if isinstance(given, Table) else _as_table(given, called)
+            table = given if isinstance(given, Table) else _as_table(given, robot, called)
             if table.positions.shape[1] != robot.n:
                 raise InputError(
                     f"{called}: q has {table.positions.shape[1]} columns but {robot.urdf.name} has {robot.n} moving joints "
@@ -286,7 +289,7 @@ class Experiment(Plots):
         experiment = cls(
             name=name, robot=robot, motions=tuple(motions), sensor=sensor, effects=own, effect_values=values,
             inertia_rel_std=inertia_rel_std, position_resolution=position_resolution, position_std=position_std,
-            gear_ratio=dict(gear_ratio or {}), locked=dict(locked or {}), warnings=tuple(warnings),
+            gear_ratio=dict(gear_ratio or {}), locked=locked, warnings=tuple(warnings),
         )  # fmt: skip
         return replace(experiment, warnings=(*experiment.warnings, *_check_roles(experiment.motions, "pass validation=...")))
 
@@ -540,7 +543,7 @@ def _read_motion(
     return Motion(section.name, section.role, table, section.kind, static, section.period, parked, stored=stored), warnings
 
 
-def _as_table(given: Mapping[str, Any], source: str) -> Table:
+def _as_table(given: Mapping[str, Any], robot: Robot, source: str) -> Table:
     """A recording's arrays by the names of `Experiment.from_arrays`, as a table."""
     if not isinstance(given, Mapping):
         raise InputError(f"{source}: is a {type(given).__name__}; give dict(t=..., q=..., torques=...), or a Table")
@@ -551,6 +554,11 @@ def _as_table(given: Mapping[str, Any], source: str) -> Table:
     for key in ("t", "q"):
         if given.get(key) is None:
             raise InputError(f"{source}: {key} is missing; give times t (N,) and joint positions q (N, n)")
+    for key, values in given.items():
+        columns, order = list(getattr(values, "columns", ())), WRENCH_COLUMNS if key == "wrench" else robot.joint_names
+        if sorted(map(str, columns)) == sorted(order) and columns != list(order):
+            remedy = "give them in this order" + ("" if key == "wrench" else ", or joints=[...] in that of the columns")
+            raise InputError(f"{source}: {key}: the columns are {listed(columns)}, not {listed(order)}; {remedy}")
     return Table(**{names[key]: value for key, value in given.items()}, source=source)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from bayesid.arguments import argument
+from bayesid.arguments import names as as_names
 from bayesid.errors import InputError
 from bayesid.robot import inertia
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
@@ -291,9 +292,9 @@ def load_robot(
     """
     file = urdf if isinstance(urdf, UrdfFile) else read_urdf(urdf)
     urdf, model = file.path, _read(file)
-    locked = dict(locked or {})
+    locked = {} if locked is None else dict(locked)
     moving = _listed(file, model)
-    joints = [name for name in moving if name not in locked] if joints is None else list(joints)
+    joints = [name for name in moving if name not in locked] if joints is None else list(map(str, as_names(joints) or ()))
     for name in [*joints, *locked]:
         if name not in moving:
             raise InputError(_unknown_joint(urdf, model, name, moving))
@@ -303,10 +304,11 @@ def load_robot(
     for name, position in locked.items():
         if name in joints:
             raise InputError(f"joint '{name}' is one of joints and locked, too; it moves or is locked ({argument('locked')})")
-        if not np.isfinite(position):
+        if not isinstance(position, (int, float, np.number)) or not np.isfinite(position):
             raise InputError(f"joint '{name}' is locked at {position}; write where it stands [rad or m] ({argument('locked')})")
     if np.shape(gravity) != (3,) or not np.isfinite(gravity).all():
-        raise InputError(f"{argument('gravity')}: {list(gravity)} will not do; give three numbers [m/s^2]")
+        given = gravity if np.ndim(gravity) == 0 else list(gravity)
+        raise InputError(f"{argument('gravity')}: {given} will not do; give three numbers [m/s^2]")
     index = {name: k for k, name in enumerate(joints)}
     n = len(joints)
 

@@ -124,10 +124,14 @@ def test_what_a_file_is_refused_for_arrays_are(change, says: str, arm) -> None:
         (dict(validation=dict(t=[0.0], q=[[0.0, 0.0]], tau=[[1.0, 1.0]])), "validation: tau: no such array"),
         (dict(validation=dict(t=[0.0])), "validation: q is missing"),
         (dict(kind="pose"), "kind = 'pose'"),
-        (dict(validation=pd.DataFrame({"t": [0.0]})), "validation.*: is a str; give dict"),
+        (dict(validation=pd.DataFrame({"t": [0.0]})), "validation: is a DataFrame; give dict"),
         (dict(joints=["joint1", "joint1"], locked={}), "joint 'joint1' is listed twice"),
         (dict(joints=["joint1", "joint2"], locked={"joint2": 0.0}), "joint 'joint2' is one of joints and locked, too"),
         (dict(locked={"joint3": np.nan}), "joint 'joint3' is locked at nan; write where it stands"),
+        (dict(locked={"joint3": "-2.48"}), "joint 'joint3' is locked at -2.48; write where it stands"),
+        (dict(joints="joint9"), "joint 'joint9' is not in robot.urdf"),
+        (dict(gravity=-9.81), "gravity: -9.81 will not do; give three numbers"),
+        (dict(sensor={"joint": "joint9"}), "sensor: is a dict; give a Sensor"),
         (dict(gravity=[0.0, -9.81]), "gravity: .* will not do; give three numbers"),
         (dict(gravity=[0.0, 0.0, np.nan]), "gravity: .* will not do"),
         (dict(sensor="joint9"), "sensor joint 'joint9' is not in robot.urdf"),
@@ -141,6 +145,26 @@ def test_wrong_arguments_are_told_in_python_s_words(arguments: dict, says: str, 
     with pytest.raises(InputError, match=says) as caught:
         made(arm, **arguments)
     assert "experiment.toml" not in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_columns_that_are_called_as_the_joints_stand_in_their_order(arm) -> None:
+    """As those of a JointState often do not: the numbers of one joint were taken for those of another."""
+    _, first, _ = arm
+    ours, turned = ["joint1", "joint2"], ["joint2", "joint1"]
+    torques = first[TAU].set_axis(ours, axis=1)
+    with pytest.raises(
+        InputError, match="identification: torques: the columns are joint2, joint1, not joint1, joint2; give them"
+    ):
+        made(arm, torques=torques[turned])
+    made(arm, torques=torques)
+    wrench = pd.DataFrame(np.ones((len(first), 6)), columns=["mx", "my", "mz", "fx", "fy", "fz"])
+    with pytest.raises(InputError, match="wrench: the columns are mx, .*, not fx, .*; give them in this order$"):
+        made(arm, wrench=wrench)
+
+
+def test_locked_may_be_a_series(arm) -> None:
+    locked = pd.Series(load_experiment(arm[0]).locked)
+    assert made(arm, locked=locked, validation=None).locked == dict(locked)
 
 
 @pytest.mark.parametrize("asked", [dict(joints=["joint2", "joint1"]), dict(gravity=[0.0, 0.0, 9.81])])
