@@ -28,6 +28,7 @@ def read_csv(path: Path, poses: bool = False) -> Stream:
 
     Numbers without a header, such as a matrix that savetxt writes, are an array of the file's name: ``log[0]``, ``log[1]``, ...
     Such a matrix (n, N) is turned, for samples outnumber columns, but for those of ``poses``, of which there may be a few.
+    Cells that are lists, ``[0.1, 0.2]``, are an array, too: ``position[0]``, ``position[1]``, ...
     An `InputError` where it is binary, empty, or with rows of another width, as a file that was cut off has.
     """
     import pandas as pd
@@ -62,7 +63,9 @@ def read_csv(path: Path, poses: bool = False) -> Stream:
         raise wrong(f"cannot be read as CSV ({cut(one_line(str(error)), 80)})", remedy="check the file") from None
     if not len(frame):
         raise wrong("has a header but no rows", remedy="give one row per sample")
-    columns = {name: frame[k].to_numpy() for k, name in enumerate(header) if name}
+    columns: dict[str, np.ndarray] = {}
+    for k, name in enumerate(header):
+        columns |= _list_columns(name, frame[k].to_numpy()) if name else {}
     if not (named or poses) and len(columns) > max(len(frame), MIN_SAMPLES):
         columns = array_columns(path.stem, np.squeeze(np.stack(list(columns.values()))))
     return Stream("", _with_stamps(_by_joint(columns)))
@@ -182,6 +185,20 @@ def _is_remark(line: str, after: str) -> bool:
     begins = after.strip().split(separator)[0].strip()
     alike = line.strip().lstrip("#% ").count(separator) == after.strip().lstrip("#% ").count(separator)
     return line.lstrip().startswith(("#", "%")) and not is_number(begins) and not alike
+
+
+def _list_columns(name: str, cells: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns of one whose cells are lists of one length, as pandas and numpy write them; any other as it is."""
+    if cells.dtype != object or not all(isinstance(cell, str) for cell in cells):
+        return {name: cells}
+    lists = [re.fullmatch(r"(?:array\((?:'\w', )?)?[\[(]([^][()]*)[\])]+", cell.strip()) for cell in cells]
+    rows = [re.findall(r"[^\s,]+", found[1]) for found in lists if found]
+    if len(rows) < len(cells) or len({len(row) for row in rows}) != 1:
+        return {name: cells}
+    try:
+        return array_columns(name, np.array(rows, np.float64))
+    except ValueError:  # names of joints
+        return array_columns(name, np.array([[entry.strip("'\"") for entry in row] for row in rows], object))
 
 
 def _with_stamps(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

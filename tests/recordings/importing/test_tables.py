@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import tomllib
+from array import array
 from pathlib import Path
 
 import numpy as np
@@ -358,6 +359,24 @@ def test_a_joint_state_of_rostopic_is_read_by_its_names(known, tmp_path):
         frame[f"field.position{k}"], frame[f"field.effort{k}"] = known.q[:, j], known.tau[:, j]
     frame.to_csv(tmp_path / "log.csv", index=False)
     np.testing.assert_array_equal(only(tmp_path / "log.csv", known).positions, known.q)
+
+
+@pytest.mark.parametrize("write", [list, tuple, np.array, lambda row: array("d", row)], ids=["list", "tuple", "numpy", "array"])
+def test_cells_that_are_lists_are_arrays(write, known, tmp_path):
+    frame = pd.DataFrame({"time": known.t, "position": [write(row.tolist()) for row in known.q], "velocity": "[]"})
+    frame["effort"] = [write(row.tolist()) for row in known.tau]
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    table = only(tmp_path / "log.csv", known, joints=JOINTS)
+    np.testing.assert_allclose(table.positions, known.q, atol=1e-8)  # numpy prints eight digits
+    np.testing.assert_allclose(table.torques, known.tau, rtol=1e-7, atol=1e-7)
+    frame.insert(1, "name", [list(JOINTS[::-1])] * len(frame))
+    frame.to_csv(tmp_path / "named.csv", index=False)
+    named = only(tmp_path / "named.csv", known)
+    np.testing.assert_array_equal(named.positions, table.positions[:, ::-1])
+    frame["position"] = [f"[{', '.join(['0.1'] * (k % 3))}]" for k in range(len(frame))]
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(InputError, match="no positions of"):
+        only(tmp_path / "log.csv", known, joints=JOINTS)
 
 
 @pytest.mark.parametrize("names", [("header.stamp.sec", "header.stamp.nanosec"), ("secs", "nsecs"), ("stamp_sec", "stamp_nsec")])
