@@ -24,6 +24,7 @@ from bayesid.regression.parallel import both, in_order
 from bayesid.regression.problem import Problem, elsewhere
 from bayesid.regression.row_cache import few_of, row_count
 from bayesid.regression.segment import Segment
+from bayesid.rounding import number
 from bayesid.signals.noise import NoiseModel, noise_of_group
 from bayesid.validation.flexible import BAND, FlexibleGap
 from bayesid.validation.noise_floor import RESIDUALS, NoiseFloor, noise_floor, pose_floor
@@ -434,13 +435,13 @@ def still_predictable(prediction: Prediction) -> str:
     if gap is None:
         return ""
     if not gap.certain and gap.removed > WORTH:
-        share = f"{100 * gap.removed:.2g} +- {100 * gap.std:.1g} % of this error"
+        share = f"{number(100 * gap.removed, 2)} +- {number(100 * gap.std, 1)} % of this error"
         return f"A flexible model of position, speed and acceleration would remove {share}, which is within chance."
     if not gap.certain:
         return "A flexible model of position, speed and acceleration finds nothing more that depends smoothly on them."
     missing = f"something predictable is missing (see `{call('diagnose')}`)"
     lack = missing if gap.removed > WORTH else "little predictable is missing"
-    share = f"{100 * gap.removed:.2g} % of this error"
+    share = f"{number(100 * gap.removed, 2)} % of this error"
     return f"A flexible model of position, speed and acceleration would still remove {share}: {lack}."
 
 

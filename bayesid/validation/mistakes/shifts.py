@@ -16,6 +16,7 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.motion import Motion
 from bayesid.regression.linalg import pseudo_inverse
 from bayesid.regression.readings import has_readings, make_channels, readings_of
+from bayesid.rounding import number
 from bayesid.validation.mistakes.candidates import Mistake
 from bayesid.validation.mistakes.evidence import FITTED, WORSE, columns_beside, independent_samples, rms
 from bayesid.validation.mistakes.samples import MARGIN, splined
@@ -152,8 +153,9 @@ def delayed(experiment: Experiment, channel: str) -> Mistake | None:
     late = f"{read}{columns}" if delay > 0.0 else "The positions (q) are"
     other, moved = ("the positions", read.lower()) if delay > 0.0 else (read.lower(), "the positions")
     text = (
-        f"{late} {1e3 * abs(delay):.3g} +- {1e3 * max(std, 1e-4):.1g} ms late against {other}: with that undone, what the motion "
-        f"does not explain of {channels.names[k]} falls from {profile.left[k, none]:.2g} to {profile.left[k, best]:.2g} "
+        f"{late} {1e3 * abs(delay):.3g} +- {number(1e3 * max(std, 1e-4), 1)} ms late against {other}: with that undone, what "
+        f"the motion does not explain of {channels.names[k]} falls "
+        f"from {profile.left[k, none]:.2g} to {profile.left[k, best]:.2g} "
         f"{channels.units[k]} rms; shift the times of {moved} by {-abs(delay):.3f} s and interpolate, or record on one clock"
     )
     return Mistake(
