@@ -185,18 +185,25 @@ class Regression:
         channel = _names_of(channel_names, channels, "y", "channel_names")
         units = _names_of(parameter_units, p, "1", "parameter_units") if parameter_units else ("1",) * p
         ids = np.zeros(samples, int) if motions is None else np.asarray(motions)
-        if len(ids) != samples or (times is not None and len(times) != samples):
+        if ids.shape != (samples,) or (times is not None and len(times) != samples):
             raise InputError(f"times and motions must have one entry for each of the {samples} samples")
+        if low_pass is not None and not isinstance(low_pass, LowPass):
+            raise InputError(f"low_pass is a {type(low_pass).__name__}; give bayesid.LowPass(l=..., d=...) [rad/s]")
         if low_pass is not None and times is None:
             raise InputError("low_pass is given without times; give the times of the samples, too")
         clock = np.arange(samples, dtype=float) if times is None else np.asarray(unmasked(times), float)
         _require_finite("times", clock)
-        labels = list(dict.fromkeys(ids.tolist()))
+        if ids.dtype.kind == "f":
+            _require_finite("motions", ids)
+        place = {label: k for k, label in enumerate(dict.fromkeys(ids.tolist()))}
+        recording = np.array([place[label] for label in ids.tolist()])
+        if times is not None and (known is None or low_pass is not None):
+            _require_order(clock, recording)
         base = _base_of(matrix, names, units)
         if not base.rank:
             raise InputError("matrix is zero, so these rows show no parameter; give rows of a motion that does")
         kept = base.independent
-        blocks = _blocks_of(np.concatenate([matrix[:, :, kept], target[:, :, None]], axis=2), clock, ids, labels)
+        blocks = _blocks_of(np.concatenate([matrix[:, :, kept], target[:, :, None]], axis=2), clock, recording)
         noise = None if errors is None else _GivenErrors(blocks, errors[:, :, :, kept]).law()
         poles = None
         if low_pass is not None:
@@ -205,7 +212,7 @@ class Regression:
                 raise InputError("times do not increase from sample to sample, which low_pass needs; sort each recording by time")
             poles = low_pass.poles(float(np.median(steps)))
         return cls(
-            base, (), (), channel, ("",) * channels, tuple(str(k) for k in labels),
+            base, (), (), channel, ("",) * channels, tuple(map(str, place)),
             RowCache(partial(iter, tuple(blocks)), samples, channels * (len(base.names) + 1), known_poles=poles),
             PriorKnowledge(bodies=checked_bodies(bodies, p)),
             instruments=None if beside is None else _GivenInstruments(blocks, beside[:, :, kept], noise).instruments(),
@@ -259,13 +266,26 @@ def _require_finite(name: str, array: np.ndarray) -> None:
         raise InputError(f"{name}{where} is not finite; remove that sample or fill it from neighbours")
 
 
+def _require_order(times: np.ndarray, motions: np.ndarray) -> None:
+    """Refuse times that go back within a recording: of samples out of order no correlation in time can be estimated."""
+    for motion in range(motions.max() + 1):
+        rows = np.flatnonzero(motions == motion)
+        back = np.flatnonzero(np.diff(times[rows]) < 0.0)
+        if len(back):
+            before, here = rows[back[0]], rows[back[0] + 1]
+            raise InputError(
+                f"times[{here}] = {times[here]:g} comes after {times[before]:g} in the same recording; sort each recording by "
+                "time, and say with motions which recording each sample is from"
+            )
+
+
 def _names_of(given: Sequence[str] | None, count: int, letter: str, argument: str) -> tuple[str, ...]:
     """Names as given, one for each column, or numbered ones; an `InputError` where there are more or fewer."""
     if given is None:
         return tuple(f"{letter}{k + 1}" for k in range(count))
     if len(given) != count:
         raise InputError(f"{argument} has {len(given)} names for {count} columns")
-    given = tuple(given)
+    given = tuple(map(str, given))
     again = [name for k, name in enumerate(given) if name in given[:k]]
     if again and argument != "parameter_units":
         raise InputError(f"{argument}: {again[0]!r} is there twice; give each its own name")
@@ -293,12 +313,11 @@ def _base_of(matrix: np.ndarray, names: tuple[str, ...], units: tuple[str, ...])
     return regroup(factor, names, units, tolerance=1e-9)
 
 
-def _blocks_of(rows: np.ndarray, times: np.ndarray, motions: np.ndarray, labels: list) -> list[Block]:
-    """A block for each run of rows of the same recording."""
+def _blocks_of(rows: np.ndarray, times: np.ndarray, motions: np.ndarray) -> list[Block]:
+    """A block for each run of rows of the same recording; ``motions`` are their numbers (N,)."""
     starts = np.flatnonzero(np.append(True, motions[1:] != motions[:-1]))
     return [
-        Block(rows[a:b], times[a:b], labels.index(motions[a].item()), True)
-        for a, b in zip(starts, np.append(starts[1:], len(rows)), strict=True)
+        Block(rows[a:b], times[a:b], int(motions[a]), True) for a, b in zip(starts, np.append(starts[1:], len(rows)), strict=True)
     ]
 
 

@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from bayesid.errors import InputError
@@ -147,8 +148,12 @@ def test_arrays_of_ones_own(tmp_path):
         (dict(bodies=[[0, 1]]), r"bodies\[0\] = \[0, 1\]: give ten columns"),
         (dict(matrix=np.ones((10, 2, 19)), bodies=[range(10), range(9, 19)]), "a column is there twice"),
         (dict(times=np.arange(3)), "one entry for each"),
+        (dict(motions=np.zeros((10, 1))), "one entry for each"),
+        (dict(motions=[*range(9), np.nan]), r"motions\[9\] is not finite"),
+        (dict(low_pass=(1, 50), times=np.arange(10.0)), r"low_pass is a tuple; give bayesid.LowPass"),
         (dict(low_pass=LowPass(1, 50)), "without times"),
-        (dict(low_pass=LowPass(1, 50), times=np.arange(10.0)[::-1]), "times do not increase"),
+        (dict(times=[0, 1, 2, 3, 4, 0, 1, 2, 3, 4]), r"times\[5\] = 0 comes after 4 in the same recording; sort"),
+        (dict(low_pass=LowPass(1, 50), times=np.zeros(10)), "times do not increase"),
         (dict(times=np.append(np.arange(9.0), np.nan)), r"times\[9\] is not finite"),
         (dict(matrix=np.ones((0, 2, 3)), target=np.ones((0, 2))), "is empty"),
         (dict(matrix=np.zeros((10, 2, 3))), "matrix is zero"),
@@ -159,6 +164,23 @@ def test_bad_arrays_are_refused(change, message):
     good.update(change)
     with pytest.raises(InputError, match=message):
         Regression.from_arrays(**good)
+
+
+def test_recordings_are_named_by_anything_and_each_has_a_clock_of_its_own():
+    rng = np.random.default_rng(1)
+    matrix = rng.normal(size=(40, 2, 3))
+    target = matrix @ [1.0, 2.0, 3.0] + 0.1 * rng.normal(size=(40, 2))
+    times, runs = np.tile(np.arange(20.0), 2), pd.Series(["first"] * 20 + ["second"] * 20)
+    given = [
+        Regression.from_arrays(matrix, target, times=times, motions=ids)
+        for ids in (runs, runs.astype("category"), [0] * 20 + [1] * 20)
+    ]
+    assert given[0].motion_names == given[1].motion_names == ("first", "second")
+    for regression in given:
+        np.testing.assert_array_equal(fit(regression, "gls").values, fit(given[0], "gls").values)
+    assert Regression.from_arrays(matrix, target, parameter_names=[1, 2, 3]).base.names == ("1", "2", "3")
+    white = Regression.from_arrays(matrix, target, times=times, noise_std=[0.1, 0.1])  # whose order does not count
+    assert len(fit(white, "wls").values) == 3
 
 
 @pytest.mark.parametrize("filters", [None, LowPass(1.0, 50.0)])
