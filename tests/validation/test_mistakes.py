@@ -356,7 +356,7 @@ def test_a_wrench_in_base_axes_is_named_whatever_its_sign(tmp_path: Path) -> Non
         assert [(m.name, m.where) for m in found] == [("wrench_frame", where)]
 
 
-def weighed(folder: Path, gravity: np.ndarray) -> Experiment:
+def weighed(folder: Path, gravity: np.ndarray, mass: float = 0.3, centre: tuple[float, ...] = (0.025, 0.0, 0.023)) -> Experiment:
     """Poses of the wrist's last joints on a base that is stated to stand upright, weighed under another gravity by Pinocchio."""
     robot = load_robot(write(folder, wrist_sensor_arm()), sensor_joint="wrist_ft")
     lift, five, six = np.radians([0.0, -45.0]), np.radians([0.0, -90.0, -45.0, 45.0]), np.radians([0.0, 90.0, 180.0, -90.0])
@@ -366,10 +366,19 @@ def weighed(folder: Path, gravity: np.ndarray) -> Experiment:
     wrench = np.random.default_rng(0).normal(size=(len(positions), 6)) * np.repeat([0.04, 0.001], 3)
     for row, q in zip(wrench, positions, strict=True):
         pin.framesForwardKinematics(model, data, q)
-        force = -0.3 * data.oMf[frame].rotation.T @ gravity
-        row += [*force, *np.cross([0.025, 0.0, 0.023], force)]
+        force = -mass * data.oMf[frame].rotation.T @ gravity
+        row += [*force, *np.cross(centre, force)]
     table = Table(np.arange(len(positions), dtype=float), positions, wrench=wrench + [0.4, -3.0, 5.0, -0.07, -0.02, -0.05])
     return experiment(robot, [Motion("a", "identification", table, kind="poses")], Sensor(joint="wrist_ft"))
+
+
+@pytest.mark.parametrize(("mass", "centre"), [(0.5, (0.02, 0.0, 0.15)), (1.2, (0.01, 0.0, 0.3)), (12.0, (0.0, 0.02, 0.1))])
+def test_a_long_tool_or_a_heavy_load_in_the_wrist_is_no_mistake(mass: float, centre: tuple[float, ...], tmp_path: Path) -> None:
+    """No URDF tells what a wrist sensor carries: forces of a tool 0.15 m away, or of 12 kg, were said to be in another unit."""
+    whole = weighed(tmp_path, np.array([0.0, 0.0, -9.81]), mass, centre)
+    assert find_mistakes(whole) == ()
+    in_kgf = changed(whole, times(np.diag(np.repeat([1.0 / 9.80665, 1.0], 3)), "wrench"))
+    assert mass > 1.2 or ("force_unit", "kgf") in names(in_kgf)
 
 
 @pytest.mark.parametrize(("axis", "angle"), [("x", 80.0), ("y", 80.0), ("y", 100.0), ("y", 105.0)])

@@ -256,20 +256,28 @@ def implausible_size(explainer: Explainer, change: Change = AS_RECORDED) -> list
     stated, usual = explainer.bodies, usual_bodies(explainer.robot)
     guessed, factor = explainer.size_beside(usual, change), explainer.size_beside(stated, change)
     allowed = _NOMINAL if explainer.has_masses else _GUESSED
-    if guessed is None or factor is None or 1.0 / allowed < factor < allowed or factor < _ROUNDED:
+    # What a sensor carries alone is a tool that the URDF may know, and a load that it does not.
+    loaded = not explainer.torque and explainer.robot.sensor_bodies.sum() == 1
+    most = _GUESSED if loaded else allowed
+    if guessed is None or factor is None or 1.0 / allowed < factor < most or factor < _ROUNDED:
         return []
     if np.sign(np.log(guessed)) != np.sign(np.log(factor)) or abs(np.log(guessed)) < np.log(_NOMINAL):
         return []
     # A small motion hardly tells weight from friction and offsets: bodies of a size that can be must explain the readings worse.
-    if explainer.gained_by_size(stated, float(np.clip(factor, 1.0 / allowed, allowed)), change) < WORSE:
+    if explainer.gained_by_size(stated, float(np.clip(factor, 1.0 / allowed, most)), change) < WORSE:
         return []
     known = _KNOWN if explainer.torque else _KNOWN_FORCE
     unit = next((text for times, text in known.items() if 1.0 / _NEAR < factor / times < _NEAR), None)
+    sizes, shown = _sizes(explainer, stated)
     if not explainer.torque:
+        moments = np.abs(sizes[3:][shown[3:]])
+        if explainer.has_masses and len(moments) and 1.0 / _NOMINAL < np.median(moments) < _NOMINAL:
+            what = unit.split()[0] if unit else "another unit"
+            text = f"The forces seem to be in {what}: they are {factor:.2g} times what {_beside(explainer)}; write them in N"
+            return [Mistake("force_unit", what if unit else "", text, "wrench", evidence=float("inf"))]
         says = f"The wrench (fx ... mz) seems to be in {unit or 'another unit'}"
         text = f"{says}: it is {factor:.2g} times what {_beside(explainer)}; write N and N m"
         return [Mistake("wrench_units", "", text, "wrench", evidence=float("inf"))]
-    sizes, shown = _sizes(explainer, stated)
     sizes = np.abs(sizes[shown])
     apart = len(sizes) > 1 and sizes.max() > _ALIKE * sizes.min()
     size = f"{sizes.min():.2g} to {sizes.max():.2g}" if apart else f"{factor:.2g}"
