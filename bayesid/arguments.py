@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -55,6 +55,23 @@ def argument(name: str, value: Any = None) -> str:
 def call(verb: str) -> str:
     """How a message names what bayesid can do: ``bayesid.diagnose``, or ``bayesid diagnose`` on the command line."""
     return f"bayesid {verb}" if _command_line else f"bayesid.{_FUNCTIONS.get(verb, verb)}"
+
+
+class ByName:
+    """What gives its parts by name: ``name in`` it says whether there is one, and it is not iterated.
+
+    Without these Python asks for part 0, 1 and so on.
+    """
+
+    __iter__: ClassVar[None] = None
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is a part of this name."""
+        try:
+            self[name]  # pyright: ignore[reportIndexIssue]
+        except KeyError:
+            return False
+        return True
 
 
 def names(given: str | Iterable[str] | None) -> tuple[str, ...] | None:

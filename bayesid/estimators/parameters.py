@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import norm
 
+from bayesid.arguments import ByName
 from bayesid.errors import InputError
 from bayesid.rounding import DASH, LEVEL, with_interval, without_rounding_errors
 from bayesid.section import ShownTable
@@ -66,7 +67,7 @@ class EstimatedParameter:
 
 
 @dataclass(frozen=True, eq=False)
-class Parameters:
+class Parameters(ByName):
     """Parameters of a result with their central intervals, base parameters first."""
 
     names: Sequence[str]  # (p,)
@@ -127,7 +128,7 @@ class Parameters:
         return ShownTable([title, "value, 95 %", "unit", ""], rows, "w n ku -")
 
 
-class HasParameters(ABC):
+class HasParameters(ByName, ABC):
     """What results with parameters have in common; they give `parameters`."""
 
     @abstractmethod

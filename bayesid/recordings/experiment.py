@@ -306,6 +306,10 @@ class Experiment(Plots):
             raise KeyError(f"no motion is named {name!r}; there are {', '.join(motions) or 'none'}")
         return motions[name]
 
+    def __contains__(self, motion: object) -> bool:
+        """Whether it has this motion, or one of this name."""
+        return any(one is motion or one.name == motion for one in self.motions)
+
     def __iter__(self) -> Iterator[Motion]:
         """The motions one after the other."""
         return iter(self.motions)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.io import savemat
 
+from bayesid.arguments import ByName
 from bayesid.design.bounds.bands import FAR, Band, band
 from bayesid.design.bounds.knowledge import Known
 from bayesid.design.bounds.model import ReadingModel
@@ -70,7 +71,7 @@ class _HasRegion:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ControllerBounds(_HasRegion, ShownResult):
+class ControllerBounds(_HasRegion, ByName, ShownResult):
     """What a controller may rely on, with probability 95 % for each bound.
 
     Attributes

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from bayesid.arguments import ByName
 from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
@@ -102,7 +103,7 @@ def equal_estimates(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
     return [tuple(names) for names in groups.values() if len(names) > 1]
 
 
-class HasEntries:
+class HasEntries(ByName):
     """Estimates by name and their tables, from ``entries`` and ``baselines``."""
 
     entries: tuple[Entry, ...]

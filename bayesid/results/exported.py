@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bayesid.arguments import argument
+from bayesid.arguments import ByName, argument
 from bayesid.errors import InputError
 from bayesid.results.files import SCHEMA, WRITTEN, Files, ShownResult
 from bayesid.rounding import channel_name
@@ -16,7 +16,7 @@ from bayesid.section import ShownTable
 
 
 @dataclass(frozen=True, eq=False)
-class Exported(ShownResult):
+class Exported(ByName, ShownResult):
     """An identified robot in other tools' forms.
 
     Attributes

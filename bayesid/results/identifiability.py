@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from bayesid.arguments import ByName
 from bayesid.design.advice import Advice, brief
 from bayesid.design.identifiability import LETTERS, WORDS, EffectExpectation, LinkExpectation, SetReport, by_body
 from bayesid.design.separability import Separation
@@ -29,7 +30,7 @@ _HUGE = 1e3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identifiability(ShownResult):
+class Identifiability(ByName, ShownResult):
     """What motions can and cannot determine, for each sensor set.
 
     Attributes

@@ -313,3 +313,20 @@ def test_results_are_compared_by_identity(results, kind):
     copied = copy.deepcopy(result)
     assert result == result and result != copied
     assert len({result, copied}) == 2
+
+
+@pytest.mark.parametrize(
+    ("kind", "there"),
+    [
+        ("identification", "m2 r2x"), ("estimate", "m2 r2x"), ("posterior", "m2 r2x"), ("comparison", "wls"),
+        ("bounds", "m2 r2x"), ("identifiability", "torque"), ("experiment", "validation"),
+    ],
+)  # fmt: skip
+def test_a_name_is_in_a_result_or_not(kind, there, results):
+    """Python counted the parts, 0, 1 and so on, and an error said that no parameter is called 0."""
+    assert there in results[kind] and "nonsense" not in results[kind]
+    if kind != "experiment":
+        with pytest.raises(TypeError, match="not iterable"):
+            iter(results[kind])
+    else:
+        assert list(results[kind]) == list(results[kind].motions) and results[kind].motions[0] in results[kind]
