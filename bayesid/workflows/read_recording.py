@@ -160,10 +160,8 @@ def read_recording(
     try:
         made = [(make(one), files) for one, files in sources]
     except InputError as error:
-        if len(sources) > 1 and not join_files and _makes(make, joined_files([one for one, _ in sources], stated_times(stated))):
-            raise InputError(
-                f"{error}. Together the files are one recording: {argument('join_files', True)} reads them so"
-            ) from None
+        if len(sources) > 1 and not join_files and (remedy := _of_several(make, [one for one, _ in sources], stated)):
+            raise InputError(f"{error}{'' if str(error).endswith('?') else '.'} {remedy}") from None
         raise
     joints = _shared_joints([recording for recording, _ in made])
     notes: list[str] = []
@@ -208,12 +206,16 @@ def read_recording(
     return Imported(experiment, recordings, tuple(notes))
 
 
-def _makes(make: Callable[[Source], Recording], source: Source) -> bool:
-    """Whether a recording can be made of a source."""
+def _of_several(make: Callable[[Source], Recording], sources: Sequence[Source], stated: ColumnMap) -> str:
+    """What would read several files of which one is no recording by itself; empty where nothing would."""
+    nameless = all(column.startswith(f"{one.name}[") for one in sources for stream in one.streams for column in stream.columns)
     try:
-        return bool(make(source).signals)
+        used = {found.column.rpartition("[")[0] for found in make(joined_files(sources, stated_times(stated))).layout.found}
     except InputError:
-        return False
+        used = set()
+    if nameless and not used.issuperset(one.name for one in sources):
+        return f'In {argument("columns")}, "{{file}}" stands for the name of each file, such as in q={{file}}[0:6]'
+    return f"Together the files are one recording: {argument('join_files', True)} reads them so" if used else ""
 
 
 def _halves(motion: Motion, share: float) -> list[Motion]:

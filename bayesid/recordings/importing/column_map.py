@@ -91,6 +91,7 @@ class ColumnMap:
     #: The log's names by ours: of ``t`` (a list: one for each of several files), of one column (``q1``, ``tau3``, ``fx``), or
     #: of a quantity (``q``, ``v``, ``qr``, ``tau``, ``wrench``, ``f``, ``m``): a list, an array (``"state[0:6]"``) or a pattern
     #: with ``{joint}``, ``{1}`` or ``{0}``, which stand for the joint's name and for its number counted from one or from zero.
+    #: ``{file}`` stands for the recording's name, after which numbers without names are called.
     columns: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
     #: By quantity (``t``, ``q``, ``v``, ``qr``, ``tau``, ``f``, ``m``) or column.
     units: Mapping[str, str] = field(default_factory=dict)
@@ -142,6 +143,14 @@ class ColumnMap:
     def names(self) -> list[str]:
         """Every name of a column of the log, or of an array or pattern of them."""
         return [text for given in self.columns.values() for text in ([given] if isinstance(given, str) else given)]
+
+    def of_file(self, name: str) -> ColumnMap:
+        """The same with a recording's name where ``{file}`` stands for it."""
+
+        def named(given: str | Sequence[str]) -> str | list[str]:
+            return given.replace("{file}", name) if isinstance(given, str) else [one.replace("{file}", name) for one in given]
+
+        return replace(self, columns={key: named(given) for key, given in self.columns.items()})
 
     def names_of(self, joints: Sequence[str]) -> list[str]:
         """The log's names of joints."""

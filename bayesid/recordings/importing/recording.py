@@ -283,6 +283,7 @@ def make_recording(
     tables without times. Where rows are separate ``poses`` at rest, no sample is held, and no times are needed. An `InputError`
     where a column is not found or could be several, a cell is no number, or clocks do not meet.
     """
+    stated = stated.of_file(source.name)
     if not any(stream.columns for stream in source.streams):
         topics = f"; its topics are {listed(source.unread, 8)}" if source.unread else ""
         raise InputError(

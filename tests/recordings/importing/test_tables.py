@@ -274,6 +274,22 @@ def matrix(path: Path, values: np.ndarray) -> None:
         np.savetxt(path, values)
 
 
+def test_the_names_of_files_without_names_of_columns_stand_in_one_mapping(known, tmp_path):
+    files = [tmp_path / "first.csv", tmp_path / "second.npy"]
+    both = np.hstack([known.q, known.tau])
+    np.savetxt(files[0], both, delimiter=",")
+    np.save(files[1], both[:900])
+    hint = r'In columns, "\{file\}" stands for the name of each file, such as in q=\{file\}\[0:6\]$'
+    for columns in ({}, {"q": "first[0:2]", "tau": "first[2:4]"}):
+        with pytest.raises(InputError, match=hint):
+            bayesid.read_recording(files, known.urdf, joints=JOINTS, columns=columns, rate=100)
+    columns = {"q": "{file}[0:2]", "tau": ["{file}[2]", "{file}[3]"]}
+    motions = bayesid.read_recording(files, known.urdf, joints=JOINTS, columns=columns, rate=100).experiment.motions
+    for motion, rows in zip(motions, (both, both[:900]), strict=True):
+        np.testing.assert_array_equal(motion.table.positions, rows[:, :2])
+        np.testing.assert_array_equal(motion.table.torques, rows[:, 2:])
+
+
 @pytest.mark.parametrize("ending", [".txt", ".npy", ".mat"])
 def test_files_of_a_quantity_each_are_joined(ending, known, tmp_path):
     """One without times has those of the file that has some; they could not be named, and those of one width were put on end."""
