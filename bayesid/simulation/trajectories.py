@@ -16,6 +16,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from bayesid.errors import BayesidWarning, InputError
+from bayesid.recordings.examination import check_positions
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.motion_checks import check_velocity
 from bayesid.recordings.table_reader import open_parquet, read_table
@@ -224,7 +225,7 @@ def read_trajectory(
     Raises
     ------
     InputError
-        It is no such table, has too few rows, or velocities in another unit than its positions.
+        It is no such table, has too few rows, positions far beyond the robot's limits, or velocities in another unit than these.
     """
     path = Path(path)
     if not path.is_file():
@@ -239,9 +240,11 @@ def read_trajectory(
     name = re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem) or "motion"
     times, positions, (v, a) = np.array(table.times), np.array(table.positions), map(np.asarray, rates)
     still = table.velocities is not None and not v.any() and not a.any()
+    doubts = check_positions(table, robot)
     if not still:
-        for warning in (text for j in range(robot.n) for text in check_velocity(table, robot, j)):
-            warnings.warn(warning, BayesidWarning, stacklevel=2)
+        doubts += [text for j in range(robot.n) for text in check_velocity(table, robot, j)]
+    for warning in doubts:
+        warnings.warn(warning, BayesidWarning, stacklevel=2)
     parked = still and not np.ptp(positions, axis=0).any()
     return Trajectory(
         name, role, times, positions, v, a, kind="poses" if still and not parked else "trajectory",

@@ -342,6 +342,18 @@ def test_poses_get_no_stop_and_go_run(setup):
     assert [t.static_positions for t in make_trajectories(made, new=False, static=True)] == [None]
 
 
+def test_a_planned_motion_far_beyond_the_limits_is_refused(setup, tmp_path):
+    """Degrees were taken for radians, as in no recording, and bounds told bands of such a motion."""
+    planned = new_trajectories(setup.robot, 4.0, 50.0)[0]
+    positions = pd.DataFrame({"t": planned.times, "q1": np.degrees(planned.positions[:, 0]), "q2": planned.positions[:, 1]})
+    positions.to_csv(tmp_path / "planned.csv", index=False)
+    with pytest.raises(bayesid.InputError, match=r"planned.csv: column q1: joint1 is at .* allows .*; is it in degrees"):
+        read_trajectory(tmp_path / "planned.csv", setup.robot)
+    positions.assign(q1=setup.robot.upper[0] + 0.2).to_csv(tmp_path / "planned.csv", index=False)
+    with pytest.warns(bayesid.BayesidWarning, match=r"planned.csv: column q1: joint1 is at .* check the unit"):
+        read_trajectory(tmp_path / "planned.csv", setup.robot)
+
+
 def test_a_planned_motion_with_velocities_in_degrees_is_refused(setup, tmp_path):
     """They were taken for the true ones, beside positions that say something else."""
     planned = new_trajectories(setup.robot, 4.0, 50.0)[0]
