@@ -213,7 +213,10 @@ def _of_several(make: Callable[[Source], Recording], sources: Sequence[Source], 
         used = {found.column.rpartition("[")[0] for found in make(joined_files(sources, stated_times(stated))).layout.found}
     except InputError:
         used = set()
-    if nameless and not used.issuperset(one.name for one in sources):
+    names = {one.name for one in sources}
+    if nameless and not used >= names:
+        if len(names) == 1 or any("{file}" in name for name in stated.names()):
+            return ""
         return f'In {argument("columns")}, "{{file}}" stands for the name of each file, such as in q={{file}}[0:6]'
     return f"Together the files are one recording: {argument('join_files', True)} reads them so" if used else ""
 

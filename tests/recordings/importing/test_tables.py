@@ -284,6 +284,8 @@ def test_the_names_of_files_without_names_of_columns_stand_in_one_mapping(known,
         with pytest.raises(InputError, match=hint):
             bayesid.read_recording(files, known.urdf, joints=JOINTS, columns=columns, rate=100)
     columns = {"q": "{file}[0:2]", "tau": ["{file}[2]", "{file}[3]"]}
+    with pytest.raises(InputError, match=r"write N m per A at the joint, scale shoulder=11.2$"):
+        bayesid.read_recording(files, known.urdf, joints=JOINTS, columns=columns, units={"tau": "A"}, rate=100)
     motions = bayesid.read_recording(files, known.urdf, joints=JOINTS, columns=columns, rate=100).experiment.motions
     for motion, rows in zip(motions, (both, both[:900]), strict=True):
         np.testing.assert_array_equal(motion.table.positions, rows[:, :2])
