@@ -27,12 +27,12 @@ from bayesid.recordings.motion_checks import (
 from bayesid.recordings.table import Table
 from bayesid.robot.robot import Robot
 
+LIMIT_SLACK = 0.1  # so far beyond a limit [rad or m] nothing is said
 _FAR_OUTSIDE = 4.0 * np.pi  # beyond a limit by this much [rad or m]: another unit
 _LARGE_ANGLE = 20.0  # no joint with limits turns this far [rad]
 _KINKS = 2  # so many turns at zero make a magnitude
 _REACH = 6  # samples on either side of a turn
 _CLEAR = 0.05  # torques that are never below this share of their largest are clear of zero
-_LIMIT_SLACK = 0.1  # [rad or m]
 _AROUND = 0.25  # a sample moves if the robot does within this time before and after [s]
 _READINGS = {"wrench": "fx ... mz", "torques": "tau1 ..."}
 
@@ -55,7 +55,7 @@ def check_positions(table: Table, robot: Robot) -> list[str]:
             unit = "millimetres? write metres" if slides else "degrees? write radians"
             motor = "; if it is the motor's position, divide by the gear ratio"
             raise InputError(f"{place}, {allowed}; is it in {unit}, or correct the limits{motor}")
-        if excess[worst] > _LIMIT_SLACK:
+        if excess[worst] > LIMIT_SLACK:
             warnings.append(f"{place}, {allowed}; check the unit (rad or m), the joint order and the limits")
     return warnings
 
@@ -272,7 +272,7 @@ def _turns_off(q: np.ndarray, lower: float, upper: float, together: bool) -> np.
         return np.maximum(high - TURN * turns - upper, lower - low + TURN * turns)
 
     whole = np.where(high > upper, 1.0, -1.0)
-    return np.where((excess(0.0) > _LIMIT_SLACK) & (excess(whole) < _SLACK), whole, 0.0)
+    return np.where((excess(0.0) > LIMIT_SLACK) & (excess(whole) < _SLACK), whole, 0.0)
 
 
 def examine(motion: Motion, robot: Robot, resolution: float | None, place: str) -> tuple[Motion, list[Finding], list[str]]:

@@ -11,6 +11,7 @@ import numpy as np
 from bayesid.effects.library import by_number
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed, suggest
+from bayesid.recordings.examination import LIMIT_SLACK
 from bayesid.recordings.schema import EffectParameters, RobotSection
 from bayesid.robot.prior import drawn_without_inertial, states_masses
 from bayesid.robot.robot import Robot, load_robot
@@ -128,9 +129,19 @@ def _doubts(robot: Robot, urdf: UrdfFile, locked: Mapping[str, float], stated: s
             if name in robot.joint_names:
                 remedy = "give it its own column of positions"
             out.append(f"{robot.urdf.name}: joint {name} mimics {joint.mimics}; here it does not follow; {remedy}")
-    for name, angle in locked.items():
-        if urdf.joints[name].kind in ("revolute", "continuous") and abs(angle) > 2.0 * math.pi:
-            out.append(f"{stated}locked: {name} = {angle:g} rad is over a turn; is it in degrees? write radians")
+    limits = {joint.get("name"): joint.find("limit") for joint in urdf.root.findall("joint")} if locked else {}
+    for name, at in locked.items():
+        kind, limit = urdf.joints[name].kind, limits[name]
+        if kind in ("revolute", "continuous") and abs(at) > 2.0 * math.pi:
+            out.append(f"{stated}locked: {name} = {at:g} rad is over a turn; is it in degrees? write radians")
+        elif kind != "continuous" and limit is not None:
+            lower, upper = (float(limit.get(end, "0")) for end in ("lower", "upper"))
+            turned = [at] if kind == "prismatic" else [at - 2.0 * math.pi, at, at + 2.0 * math.pi]  # the same pose
+            if lower < upper and not any(lower - LIMIT_SLACK <= one <= upper + LIMIT_SLACK for one in turned):
+                out.append(
+                    f"{stated}locked: {name} = {at:g}, {robot.urdf.name} allows {lower:g} to {upper:g} "
+                    f"{'m' if kind == 'prismatic' else 'rad'}; check the unit (rad or m) and the limits"
+                )
     return out
 
 

@@ -89,6 +89,13 @@ def against_the_stop(folder: Path) -> None:
     table(lambda d: d.assign(q2=(2.0 * d["q2"]).clip(lower=-0.3)), "validation.csv")(folder)
 
 
+def locked_beyond(folder: Path) -> None:
+    """Limits of the locked joint, the last in the file, that end below the angle at which it stands."""
+    path = folder / "robot.urdf"
+    before, _, after = path.read_text().rpartition('upper="3.')
+    path.write_text(f'{before}upper="-0.5{after}')
+
+
 def no_inertial(folder: Path) -> None:
     """The link beyond the elbow keeps its shape, and loses its mass."""
     path = folder / "robot.urdf"
@@ -160,6 +167,8 @@ DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("a locked joint that follows", urdf('<axis xyz="1.0 0', '<mimic joint="elbow" /><axis xyz="1.0 0'),
      ("robot.urdf: joint wrist mimics elbow", "locked")),
     ("locked in degrees", toml("wrist = 0.1", "wrist = 90"), ("[robot] locked: wrist = 90 rad", "degrees")),
+    ("locked beyond its limits", lambda folder: locked_beyond(folder),
+     ("[robot] locked: wrist = 0.1, robot.urdf allows -3.1", "rad")),
     ("translation in millimetres", toml("[0.0, 0.0, -0.1]", "[0.0, 0.0, -100.0]"), ("[sensor] translation", "millimetres")),
     ("rpy in degrees", toml("force_std", "rpy = [0, 0, 90]\nforce_std"), ("[sensor] rpy", "degrees")),
     ("trust of ten", toml("inertia_rel_std = 0.1", "inertia_rel_std = 10"), ("[robot] inertia_rel_std: 10", "share")),
