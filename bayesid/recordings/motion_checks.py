@@ -328,10 +328,10 @@ def _stalls(table: Table, stalled: np.ndarray) -> list[str]:
     if rows < 2:
         return []
     a, b = max(counted, key=lambda run: run[1] - run[0])
-    return [
-        f"{table.source}: {rows} rows repeat the row before in every column while the robot moves, the longest time "
-        f"from {table.times[a]:.6g} to {table.times[b - 1]:.6g} s; did the logger stall? cut them out"
-    ]
+    where = f"the longest time from {table.times[a]:.6g} to {table.times[b - 1]:.6g} s; did the logger stall?"
+    if b - a == 1:
+        where = f"each alone, the first at {table.times[a]:.6g} s; did the logger read faster than the robot writes?"
+    return [f"{table.source}: {rows} rows repeat the row before in every column while the robot moves, {where} cut them out"]
 
 
 def _encoders(table: Table, robot: Robot, stalled: np.ndarray, resolution: float | None) -> list[str]:
