@@ -278,6 +278,7 @@ class Posterior(Plots, HasParameters):
                 "steps_between_draws": self.chains.thin,
                 "seed": self.seed,
                 "converged": d.passed,
+                "judged_by_draws": d.draws,
                 "largest_r_hat": float(d.r_hat.max()),
                 "smallest_ess_bulk": float(d.ess_bulk.min()),
                 "smallest_ess_tail": float(d.ess_tail.min()),
@@ -338,9 +339,10 @@ class Posterior(Plots, HasParameters):
         """Table of the base and effect parameters."""
         d = self.diagnosis
         chains, draws = self.chains.draws.shape[:2]
+        made = f" of {d.draws} made" * (d.draws > chains * draws)
         head = (
             f"posterior: {self.base.rank} base parameters, {chains} chains of {draws} draws ({self.chains.engine}), "
-            f"largest R-hat {d.r_hat.max():.4f}, smallest ESS {d.ess.min():.0f}"
+            f"largest R-hat {d.r_hat.max():.4f}, smallest ESS {d.ess.min():.0f}{made}"
         )
         warned = [f"warning: {text}" for text in conflicts(self.prior_check)]
         return "\n".join([*warned, head, *self.parameters().table().text()])

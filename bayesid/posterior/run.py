@@ -75,6 +75,7 @@ class Convergence:
     r_hat: np.ndarray
     ess_bulk: np.ndarray
     ess_tail: np.ndarray
+    draws: int = 0  # by how many of all chains together: more than are kept, where few were asked for
 
     @property
     def passed(self) -> bool:
@@ -201,7 +202,7 @@ def convergence(draws: np.ndarray, names: tuple[str, ...]) -> Convergence:
         one = np.ascontiguousarray(draws[:, :, k])
         tail = az.ess(one, method="tail", prob=(0.05, 0.95))
         out[:, k] = az.rhat(one, method="rank"), az.ess(one, method="bulk"), tail
-    return Convergence(names, *out)
+    return Convergence(names, *out, draws=draws.shape[0] * draws.shape[1])
 
 
 def _advanced(engine: Engine, count: int, thin: int, state: Any) -> tuple[Any, np.ndarray]:

@@ -169,7 +169,7 @@ def posterior_report(result: ExperimentPosterior) -> str:
             figure(svg(ranks(result), "ranks"),
                    "Ranks of each chain's draws among all draws, for the numbers with the largest R-hat: level and alike where "
                    "chains agree."),
-            fold(f"R-hat and effective sample sizes of all {len(d.names)} numbers",
+            fold(f"R-hat and effective sample sizes of all {len(d.names)} numbers, by {d.draws} draws",
                  ShownTable(["parameter", "R-hat", "ESS, bulk", "ESS, tail"], chains, "w n n n")),
         ], "Chains"),
         how(*_how(result), seconds=result.seconds, packages=("emcee", "arviz", "numpy"),

@@ -176,6 +176,14 @@ def test_seeds_reproduce_and_an_interrupted_run_goes_on_to_the_same_draws(tmp_pa
         sampled(model, engine, draws=1000, chains=2, checkpoint=file, resume=True)
 
 
+def test_effective_sizes_of_more_draws_than_are_kept_say_of_how_many():
+    """ArviZ finds fewer of those that are kept."""
+    model = PosteriorModel.of(regression(2))
+    few, many = sampled(model, draws=400), sampled(model, draws=2000)
+    assert few.diagnosis.draws == 1600 and str(few).splitlines()[0].endswith("of 1600 made")
+    assert many.diagnosis.draws == 2000 and "made" not in str(many)
+
+
 def test_chains_that_disagree_run_longer_and_are_called_so():
     """Stretch moves in many walls' way are slow: draws move apart, and the verdict stays honest."""
     model = one_body(scale_prior=KNOWN)
