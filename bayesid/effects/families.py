@@ -255,15 +255,38 @@ class JointTorqueEffect(InstrumentEffect):
         return not self.shape and not self.uses_load
 
     def motion_columns(self, segment: MotionSegment, channels: Sequence[str]) -> np.ndarray:
-        """Derivatives of the readings with respect to the parameters (N, channels, k)."""
+        """Derivatives of the readings with respect to the parameters (N, channels, k).
+
+        An `InputError` where `torque` returns no number a sample, or is not linear in its parameters.
+        """
         out = np.zeros((len(segment.times), len(channels), len(self.parameters)))
         joint = -1 if self.joint is None else self.joint
         if (name := f"tau{joint + 1}") in channels:
             q, v, a = (x[:, joint] for x in (segment.positions, segment.velocities, segment.accelerations))
             motion = JointMotion(segment.times, q, v, a, None, segment.cell)
-            for k, unit in enumerate(np.eye(len(self.parameters))):
-                out[:, channels.index(name), k] = self.torque(motion, tuple(unit))
+            columns = np.stack([self._numbers(motion, unit) for unit in np.eye(len(self.parameters))], axis=1)
+            doubled = self._numbers(motion, np.full(len(self.parameters), 2.0))
+            if np.abs(doubled - 2.0 * columns.sum(axis=1)).max(initial=0.0) > 1e-6 * np.abs(doubled).max(initial=0.0):
+                raise InputError(
+                    f"effect '{self.name}': torque is not linear in {', '.join(self.parameters)}; declare each that it is not "
+                    "linear in with linear=False and a start, and add nothing that no parameter multiplies"
+                )
+            out[:, channels.index(name)] = columns
         return out
+
+    def _numbers(self, motion: JointMotion, values: np.ndarray) -> np.ndarray:
+        """What `torque` returns, as finite numbers (N,)."""
+        try:
+            given = np.asarray(self.torque(motion, tuple(values)), float)
+        except (TypeError, ValueError, IndexError, AttributeError, NameError) as error:
+            raise InputError(f"effect '{self.name}': torque ends in {type(error).__name__}: {error}; mend it") from error
+        if given.shape not in ((), motion.position.shape):
+            raise InputError(
+                f"effect '{self.name}': torque has shape {given.shape} for {len(motion.time)} samples; return one each"
+            )
+        if not np.isfinite(given).all():
+            raise InputError(f"effect '{self.name}': torque has no finite value somewhere in this motion; mend it")
+        return np.broadcast_to(given, motion.position.shape)
 
 
 def needs_no_load(effect: Effect) -> TypeGuard[JointTorqueEffect]:

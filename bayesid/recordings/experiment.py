@@ -407,6 +407,8 @@ def load_experiment(folder: str | Path, library: EffectLibrary | None = None, *,
     InputError
         Something is missing or cannot be right; the message says which file, key or column, and value, and what to do.
     """
+    if not isinstance(library, EffectLibrary | None):
+        raise InputError(f"library: is a {type(library).__name__}; give bayesid.load_effects(...)")
     setup, file = _read_setup(Path(folder), library)
     motions, warnings = [], list(setup.warnings)
     stated = column_map(file.columns, file.units, {}, "experiment.toml")

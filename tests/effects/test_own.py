@@ -77,6 +77,32 @@ def test_an_effect_that_takes_the_load_has_to_say_so(tmp_path):
     assert bayesid.simulate(setup, motions, effects=["cubic_spring"]).truth.effects["cubic_spring@joint1"] == {"k": 2.0}
 
 
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        ("np.exp(values[0]) * motion.position", "torque is not linear in k; declare each"),
+        ("values[0] * motion.position + 1.0", "torque is not linear in k"),
+        ("(values[0] * motion.position)[1:]", r"torque has shape \(.*\) for .* samples"),
+        ("values[0] / (0.0 * motion.position)", "torque has no finite value somewhere"),
+        ("values[1] * motion.position", "torque ends in IndexError: tuple index out of range"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:divide by zero", "ignore:invalid value")
+def test_a_law_that_is_none_is_refused_by_name(tmp_path, law, message):
+    """One that is not linear gave numbers that meant nothing; the others were laid to the data."""
+    (path := tmp_path / "mine.py").write_text(GOOD.replace("values[0] * motion.position**3", law))
+    setup = puma_setup(tmp_path)
+    recorded = bayesid.simulate(setup, new_trajectories(setup.robot, 4.0, 50.0))
+    own = bayesid.Experiment("puma", setup.robot, recorded.motions, setup.sensor, library=bayesid.load_effects(path))
+    with pytest.raises(InputError, match=f"effect 'cubic_spring': {message}"):
+        bayesid.identify(own, "torque", effects=["cubic_spring"])
+
+
+def test_a_library_is_none_by_its_name(tmp_path):
+    with pytest.raises(InputError, match=r"library: is a str; give bayesid.load_effects\(...\)"):
+        bayesid.load_experiment(tmp_path, "mine.py")
+
+
 def test_every_verb_takes_the_file(tmp_path, capsys):
     (path := tmp_path / "mine.py").write_text(GOOD)
     (tmp_path / "puma").mkdir()
