@@ -91,12 +91,24 @@ def missing_rotors(
 
 
 def _links_with(problem: Problem, method: Estimator, options: FitOptions, complete: bool) -> UrdfLinks | None:
-    """The links of the same fit with other effects; None where that cannot be fitted or, if asked for, is not complete."""
+    """The links of the same fit with rotors; None where it fails, shows none or, if asked for, is not complete."""
     try:
         found = solve(prepare(problem.experiment, replace(options, bandwidth=problem.smoother.bandwidth)), method)
-        return urdf_links(*found) if found[1].details.model_complete or not complete else None
+        links = urdf_links(*found) if found[1].details.model_complete or not complete else None
     except (BayesidError, np.linalg.LinAlgError):
         return None
+    return links if links is not None and _shows_rotors(found[1], links) else None
+
+
+def _shows_rotors(estimate: Estimate, links: UrdfLinks) -> bool:
+    """Whether a rotor is seen beside the links, or each is left an inertia that a rotor can have.
+
+    More parameters let links exist and hide what else is missing, too; those of rotors are negative then as often as not.
+    """
+    parameters = estimate.parameters()
+    seen = (low > 0.0 for name, low in zip(parameters.names, parameters.low, strict=True) if name.startswith(_ROTORS))
+    left = (value for name, (value, _) in links.dynamics.beside.items() if name.startswith(_ROTORS))
+    return any(seen) or all(value >= 0.0 for value in left)
 
 
 def _errors(problem: Problem, *solutions: np.ndarray) -> dict[str, tuple[float, float]]:

@@ -8,7 +8,7 @@ import pytest
 import bayesid
 from bayesid.robot.robot import load_robot
 from tests.robots import ur5, write
-from tests.simulated import Motion, experiment, fourier, recording
+from tests.simulated import Motion, experiment, fourier, puma2, recording
 
 ROTORS = np.array([2.0, 2.5, 1.5, 0.4, 0.3, 0.2])  # reflected to the joints, about those of an arm of this size [kg m^2]
 
@@ -47,6 +47,19 @@ def test_nothing_is_said_of_an_arm_without(geared):
         for k, m in enumerate(geared.motions)
     ]
     assert not told(bayesid.identify(dataclasses.replace(geared, motions=tuple(motions))))
+
+
+@pytest.mark.parametrize("rotors, ripple, lines", [(6.0, 0.0, 1), (0.0, 5.0, 0)], ids=["rotors", "ripple"])
+def test_what_lets_links_exist_is_a_rotor_only_with_an_inertia_of_one(rotors, ripple, lines, tmp_path):
+    """Beside parallel axes a rotor is told from no link: whatever spoilt the links, a negative one let them exist."""
+    robot, motions = puma2(tmp_path), []
+    for k, role in enumerate(("identification", "validation")):
+        motion = fourier(robot, 300 + k, duration=10.0)
+        table = recording(robot, None, motion, torque_std=0.3, seed=300 + k)
+        torques = table.torques + rotors * motion[3] + ripple * np.sin(motion[1] * [4.0, 3.0])
+        motions.append(Motion(f"m{k}", role, dataclasses.replace(table, torques=torques)))
+    result = bayesid.identify(experiment(robot, motions))
+    assert len(told(result)) == lines and not result.urdf.usable
 
 
 @pytest.mark.parametrize(
