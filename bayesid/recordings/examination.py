@@ -56,7 +56,7 @@ def check_positions(table: Table, robot: Robot) -> list[str]:
             motor = "; if it is the motor's position, divide by the gear ratio"
             raise InputError(f"{place}, {allowed}; is it in {unit}, or correct the limits{motor}")
         if excess[worst] > LIMIT_SLACK:
-            warnings.append(f"{place}, {allowed}; check the unit (rad or m), the joint order and the limits")
+            warnings.append(f"{place}, {allowed}; check the unit (rad or m), the joint order, its zero and the limits")
     return warnings
 
 

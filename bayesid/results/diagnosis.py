@@ -488,7 +488,8 @@ def event_sentences(diagnosis: Diagnosis) -> list[str]:
         text += f"above the frequencies that models are compared at ({mine[0].band_hz[0]:.3g} Hz and more)"
         text += ", in a motion that took no part in the fit" if mine[0].unseen else ""
         if taps:
-            who = "it looks like a tap" if one else f"{'they' if taps == len(mine) else f'{taps} of them'} look like taps"
+            those = "it" if one else "they" if taps == len(mine) else f"{'one' if taps == 1 else taps} of them"
+            who = f"{those} looks like a tap" if taps == 1 else f"{those} look like taps"
             text += f"; {who}: a broad band, over within {diagnosis.data.settings.moment:g} s"
         out.append(f"{text}. No motion of the robot explains {'it' if one else 'them'}.")
     return out

@@ -190,6 +190,8 @@ def test_the_list_holds_events_and_the_memo_tells_them():
     (said,) = text.event_sentences(SimpleNamespace(where=where, data=data))
     assert said.startswith("2 short events in ‘other’ at 6.01 and 14.01 s, loudest in fx") and "look like taps" in said
     assert ", in a motion that took no part in the fit; they" in said
+    (said,) = text.event_sentences(SimpleNamespace(where=[where[0], replace(where[1], tap=False)], data=data))
+    assert "; one of them looks like a tap: " in said
     assert "a tap" in text.disagreement_line(where[0])
     (said,) = text.event_sentences(SimpleNamespace(data=data, where=[replace(where[0], tap=False, unseen=False)]))
     assert said.startswith("One short event") and "tap" not in said and "no part" not in said

@@ -147,7 +147,7 @@ DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("encoder slips", table(slip, "validation.csv"), ("column q1: shoulder jumps by 1.4", "2.99 s", "encoder")),
     ("never moves", table(lambda d: d.assign(q1=0.3, v1=0.0), "validation.csv"), ("column q1: shoulder never moves",)),
     ("at rest but for its first row", table(late_reading, "validation.csv"), ("column q1: shoulder stands at 0.3 from 0.01",)),
-    ("beyond a limit", table(beyond, "validation.csv"), ("column q2: elbow", "-2.5 to 2.5 rad")),
+    ("beyond a limit", table(beyond, "validation.csv"), ("column q2: elbow", "-2.5 to 2.5 rad", "its zero")),
     ("velocity off by 1.5", table(lambda d: d.assign(v1=1.5 * d["v1"])), ("column v1: 1.5 times", "q1 of shoulder")),
     ("dead channel", table(lambda d: d.assign(my=0.25), "validation.csv"), ("column my: 0.25 in every row",)),
     ("one empty cell", cell(7, "fz", None), ("identification.csv: column fz: 1 row without a reading (line 9, 0.07 s)",)),
