@@ -144,6 +144,18 @@ def test_bad_bounds_are_refused_in_one_line(tmp_path, text, message):
     assert "bounds.toml" in str(caught.value)
 
 
+@pytest.mark.parametrize("given", [dict(total_mass=22), dict(mass={"a": 5.0}), dict(mass={"a": (1, 2, 3)})])
+def test_a_bound_of_one_number_is_refused_in_one_line(given):
+    with pytest.raises(InputError, match=r"^bounds: (total_mass|mass.a) = .*: give \[low, high\]$"):
+        Bounds(**given)
+
+
+def test_collision_boxes_take_the_robot(tmp_path):
+    (path := tmp_path / "bounds.toml").write_text('box = "collision"')
+    with pytest.raises(InputError, match='box = "collision" takes the robot.s geometry: give load_bounds the robot'):
+        load_bounds(path)
+
+
 def test_bounds_from_a_file(tmp_path):
     path = tmp_path / "bounds.toml"
     path.write_text("total_mass = [1, inf]\n[mass]\na = [0.5, 1]\n[com]\na = [[-1, -1, -1], [1, 1, 1]]\n", encoding="utf-8")

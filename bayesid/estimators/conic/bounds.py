@@ -101,7 +101,10 @@ class Bounds:
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""
         total = {} if self.total_mass is None else {"total_mass": self.total_mass}
-        for key, (low, high) in {**total, **_keys("mass", self.mass)}.items():
+        for key, given in {**total, **_keys("mass", self.mass)}.items():
+            if np.shape(given) != (2,):
+                raise InputError(f"bounds: {key} = {given}: give [low, high]")
+            low, high = given
             if not (float(low) <= float(high) and float(high) >= 0):
                 raise InputError(f"bounds: {key} = [{low}, {high}]: give the lower bound, then the upper one")
         for key, (low, high) in {**_keys("com", self.com), **_keys("box", self.box)}.items():
@@ -206,7 +209,9 @@ def load_bounds(path: str | Path, robot: Robot | None = None, locked: Mapping[st
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{path}: cannot be read as TOML: {error}") from None
     try:
-        if table.get("box") == "collision" and robot is not None:
+        if table.get("box") == "collision":
+            if robot is None:
+                raise InputError('bounds: box = "collision" takes the robot\'s geometry: give load_bounds the robot, too')
             table["box"] = {name: [low.tolist(), high.tolist()] for name, (low, high) in collision_boxes(robot, locked).items()}
         return Bounds.from_dict(table)
     except InputError as error:
