@@ -26,6 +26,7 @@ _FASTER = 1.5
 _ALIKE = 1.1  # rates that count as equal
 _READINGS = ("tau", "wrench")
 _OPTIONAL = ("v", "qr")
+_POINTER = b"version https://git-lfs"  # what Git LFS leaves in place of a file that was not fetched
 _ARRAYS = {"numpy": read_npz, "mat": read_mat, "hdf5": read_hdf5}
 
 
@@ -43,6 +44,7 @@ def read_source(
         raise InputError("no such file or folder", file=str(path), remedy="give a recording")
     kind = kind_of(path)
     try:
+        _check_fetched([path] if path.is_file() else path.rglob("*") if kind else [])
         if kind == "lerobot":
             return read_lerobot(path, episodes)
         if kind == "bag":
@@ -64,6 +66,17 @@ def read_source(
     elif path.is_dir():
         what = "folder holds no metadata.yaml, .mcap, .db3 or meta/info.json"
     raise InputError(what, file=path.name, remedy=remedy)
+
+
+def _check_fetched(files: Iterable[Path]) -> None:
+    """Refuse what Git LFS left in place of a recording's file."""
+    for file in files:
+        if file.is_file() and kind_of(file):
+            with file.open("rb") as handle:
+                if handle.read(len(_POINTER)) == _POINTER:
+                    raise InputError(
+                        "is a pointer of Git LFS, not the file itself", file=file.name, remedy="fetch it: git lfs pull"
+                    )
 
 
 def joined_files(sources: Sequence[Source], times: Sequence[str] = ()) -> Source:

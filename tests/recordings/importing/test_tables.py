@@ -577,6 +577,18 @@ def test_episodes_are_whole_numbers(given, known, tmp_path, capsys):
     assert f"--episodes {given}: write whole numbers with commas between, 0,3" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["log.csv", "log.mat", "log.npz", "log.parquet", "log.bag", "set/data/file-000.parquet"])
+def test_what_git_lfs_leaves_in_place_of_a_file_is_told(name, known, tmp_path):
+    file = tmp_path / name
+    if name.startswith("set"):
+        for folder in (file.parent, tmp_path / "set/meta"):
+            folder.mkdir(parents=True)
+        (tmp_path / "set/meta/info.json").write_text('{"codebase_version": "v3.0"}')
+    file.write_text(f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 427016\n")
+    with pytest.raises(InputError, match=f"^{file.name}: is a pointer of Git LFS, not the file itself; fetch it: git lfs pull$"):
+        bayesid.read_recording(tmp_path / Path(name).parts[0], known.urdf)
+
+
 def test_a_file_that_is_no_parquet_or_a_pickle_is_refused(known, tmp_path):
     for name, said in (
         ("log.parquet", "cannot be read as Parquet"),
