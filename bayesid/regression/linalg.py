@@ -32,9 +32,22 @@ def solve(matrix: np.ndarray, target: np.ndarray, tolerance: float = 1e-11) -> n
 
 
 def pseudo_inverse(matrix: np.ndarray, tolerance: float = 1e-11) -> np.ndarray:
-    """Pseudo-inverse (p, k) by way of columns at unit length; ``tolerance`` as in `solve`."""
+    """Moore-Penrose inverse (p, k), its rank decided by columns at unit length; ``tolerance`` as in `solve`.
+
+    What the rows say nothing about is orthogonal to it in the parameters' own units, not in those of the lengths: so a product of
+    it with itself, a covariance, tells what that is, see `unshown`.
+    """
+    if not matrix.size:
+        return np.zeros(matrix.shape[::-1])
     length = column_lengths(matrix)
-    return np.linalg.pinv(matrix / length, rcond=tolerance) / length[:, None]
+    u, s, vt = np.linalg.svd(matrix / length, full_matrices=False)
+    kept = s > tolerance * s[0]
+    inverse = (vt[kept].T / s[kept]) @ u[:, kept].T / length[:, None]
+    if kept.sum() < len(length):
+        silent = np.linalg.qr(vt[kept].T, mode="complete")[0][:, kept.sum() :] / length[:, None]
+        silent = np.linalg.qr(silent / np.linalg.norm(silent, axis=0))[0]
+        inverse -= silent @ (silent.T @ inverse)
+    return inverse
 
 
 def determined_inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:

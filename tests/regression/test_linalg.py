@@ -107,3 +107,14 @@ def test_a_row_takes_what_the_data_do_not_show_unless_it_takes_the_sum_that_they
     kept = np.linalg.inv(rows[:, :2].T @ rows[:, :2])
     assert_allclose(asked[1] @ covariance @ asked[1], asked[1, :2] @ kept @ asked[1, :2], rtol=1e-9)
     assert unshown(covariance, np.zeros(4, bool)).shape == (4, 0) and not takes(asked, np.zeros((4, 0))).any()
+
+
+def test_what_is_not_shown_is_told_from_the_covariance_whatever_the_lengths_of_columns():
+    """A load's weight is g times its mass beside a drive's offset: a null space of other lengths was told before."""
+    rng = np.random.default_rng(5)
+    one, other, inertial = rng.normal(size=(3, 50))
+    rows = np.column_stack([one, inertial + 9.81, np.ones(50), 1e-3 * inertial, 5.0 * other])
+    inverse = pseudo_inverse(rows)
+    assert_allclose(inverse, np.linalg.pinv(rows, rcond=1e-12), atol=1e-9)
+    (change,) = unshown(inverse @ inverse.T, undetermined(rows)).T
+    assert_allclose(change / change[1], [0.0, 1.0, -9.81, -1e3, 0.0], atol=1e-9)
