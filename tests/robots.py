@@ -170,6 +170,24 @@ def prismatic_arm() -> str:
     return urdf_text("prismatic_arm", links, joints)
 
 
+def scara() -> str:
+    """Two revolute joints, a slide, a revolute one, all vertical: a drive's offset may be the weight on the slide."""
+    links = [
+        body("base", 20.0, (0, 0, 0.2), (0.2, 0.2, 0.3)),
+        body("upper", 8.0, (0.2, 0, 0), (0.3, 0.08, 0.08)),
+        body("fore", 5.0, (0.15, 0, 0), (0.25, 0.07, 0.07)),
+        body("quill", 2.0, (0, 0, -0.1), (0.03, 0.03, 0.25)),
+        body("flange", 0.7, (0, 0, 0.01), (0.06, 0.06, 0.06)),
+    ]
+    joints = [
+        Joint("turn", "base", "upper", (0, 0, 0.4), limits=(-2.5, 2.5, 5.0, 150.0)),
+        Joint("swing", "upper", "fore", (0.4, 0, 0), limits=(-2.4, 2.4, 6.0, 80.0)),
+        Joint("slide", "fore", "quill", (0.35, 0, 0), kind="prismatic", limits=(-0.2, 0.05, 1.0, 400.0)),
+        Joint("spin", "quill", "flange", (0, 0, -0.2), kind="continuous", limits=(0.0, 0.0, 10.0, 20.0)),
+    ]
+    return urdf_text("scara", links, joints)
+
+
 def tree() -> str:
     """Torso with two arms: fixed, prismatic and continuous joints in the left, two revolute in the right."""
     links = [

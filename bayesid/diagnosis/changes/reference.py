@@ -27,11 +27,10 @@ from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects import Effect, Point, middle_of
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
-from bayesid.estimators.least_squares import weighted_factor
 from bayesid.estimators.nonlinear import solve
 from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.experiment import Experiment
-from bayesid.regression.linalg import or_one, pseudo_inverse
+from bayesid.regression.linalg import or_one, pseudo_inverse, unshown
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, absorbed_offset, prepare
 from bayesid.regression.rows import make_blocks
@@ -133,7 +132,7 @@ class Reference:
         """Links and effects of the reference, where readings of the later recording are linearised."""
         model = self.problem.row_model
         rank = model.base.rank
-        links = nearest_links(self.robot, model.base, self.solution[:rank], ~self.estimate.undetermined[:rank])
+        links = nearest_links(self.robot, model.base, self.solution[:rank])  # hidden ones as well: their sums are known
         values = model.every_value(self.solution[rank:])
         # A fit that has not settled may have left where an equation holds; one that is linear holds everywhere.
         for k, p in enumerate(p for e in model.effects for p in e.quantities):
@@ -160,13 +159,10 @@ class Reference:
         covariance, hidden = self.estimate.stated_covariance(), self.estimate.undetermined
         if not hidden.any():
             return covariance
-        weights = learn_weights(self.problem.regression)
-        factor = weighted_factor(self.problem.regression, weights, "channel")[0].matrix
-        # What was estimated beside a hidden parameter goes with it: X_o d_o = -X_h d_h.
-        carried = np.zeros((len(hidden), int(hidden.sum())))
-        carried[hidden] = np.eye(carried.shape[1])
-        carried[~hidden] = -pseudo_inverse(factor[:, ~hidden]) @ factor[:, hidden]
-        return covariance + carried * self._vague[hidden] ** 2 @ carried.T
+        # Sums of hidden parameters that the data determine, such as a load's weight and a drive's offset, stay as they are.
+        size = self._vague
+        open_, _ = np.linalg.qr(unshown(covariance, hidden) / size[:, None])
+        return covariance + (size[:, None] * open_) @ (size[:, None] * open_).T
 
     @property
     def _vague(self) -> np.ndarray:
@@ -175,7 +171,7 @@ class Reference:
         links = Prior.nominal(with_sizes(self.robot.nominal), 2.0**0.5).covariance
         base = np.sqrt(np.einsum("ij,jk,ik->i", model.base.matrix, links, model.base.matrix))
         typical = np.array([abs(t) for e in model.effects for t in e.typical(self.robot)])
-        return np.concatenate([base, typical[model.free]])
+        return or_one(np.concatenate([base, typical[model.free]]), 0.0)
 
     def wanders(self, friction: bool) -> np.ndarray:
         """Standard deviation of each parameter from one recording to another (p,): of friction, or of drive gains."""
