@@ -188,9 +188,11 @@ def _lost_to_effects(problem: Problem, estimate: Estimate) -> dict[str, tuple[st
     specs = np.array([*[""] * base.rank, *(name.rpartition(".")[0] for name in regression.effect_names)])
     alone = undetermined(matrix[:, : base.rank])
     out: dict[str, tuple[str, ...]] = {}
+    # Where it takes several to hide a parameter, as a drive's offset and rotor do a load, these are not determined either.
+    several = tuple(dict.fromkeys(specs[base.rank :][estimate.undetermined[base.rank :]].tolist()))
     beside = {spec: undetermined(matrix[:, specs != spec]) for spec in dict.fromkeys(specs.tolist()) if spec}
     for k in lost[~alone[lost]].tolist():
-        out[base.labels[k]] = tuple(spec for spec, hidden in beside.items() if not hidden[k]) or tuple(beside)
+        out[base.labels[k]] = tuple(spec for spec, hidden in beside.items() if not hidden[k]) or several
     return out
 
 

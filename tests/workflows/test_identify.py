@@ -12,7 +12,7 @@ from bayesid.robot.robot import load_robot
 from bayesid.validation.agreement import fits_alone, motions_apart
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import predict
-from tests.robots import ur5, wrist_sensor_arm, write
+from tests.robots import scara, ur5, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 NOISE = dict(force_std=0.5, torque_std=0.1, resolution=2e-5)
@@ -62,6 +62,17 @@ def test_effects_that_the_readings_do_not_show_are_named(tmp_path):
         assert len(said) == 1 and "coulomb_friction@joint1" in said[0] and "sensor_gain" not in said[0]
     stated = replace(arm, effects=("viscous_friction",))
     assert not any("viscous_friction" in w for w in bayesid.identify(stated, channel="wrench").warnings)
+
+
+def test_effects_that_hide_a_parameter_together_are_named_and_no_others(tmp_path):
+    """The load on a vertical slide is its drive's offset and rotor: every effect was named. Their sums are predicted."""
+    robot = load_robot(write(tmp_path, scara()))
+    table = recording(robot, None, fourier(robot, 1, speed=1.0), seed=1, torque_std=0.1, resolution=1e-5)
+    drives = experiment(robot, [Motion("identification", "identification", table)])
+    found = bayesid.identify(drives, effects=["viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia"])
+    named = {spec for specs in found.not_shown.effects.values() for spec in specs}
+    assert named == {"torque_offset@joint3", "rotor_inertia@joint1", "rotor_inertia@joint3"}
+    assert np.isfinite(found.predict(*np.random.default_rng(0).normal(size=(3, 50, 4))).std).all()
 
 
 def test_what_no_motion_shows_is_not_called_unexcited(tmp_path):
