@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2, multivariate_normal
 
-from bayesid import diagnose
+from bayesid import diagnose, fourier_trajectory
 from bayesid.diagnosis import (
     candidates,
     encoders,
@@ -433,7 +433,8 @@ def test_a_payload_much_heavier_than_the_last_link_is_a_payload_of_that_link(tmp
     robot = load_robot(write(tmp_path, ur5()))
     body = inertia.from_pseudo_inertia(3.0 * np.block([[np.diag([0.002, 0.0163, 0.002]), np.array([[0.0], [0.12], [0.0]])],
                                                        [np.array([[0.0, 0.12, 0.0]]), np.ones((1, 1))]]))  # fmt: skip
-    recorded = simulate(robot, effects={"payload@joint6": dict(zip(inertia.PARAMETERS, body, strict=True))}, perturb=0.05)
+    path = [fourier_trajectory(robot, duration=8.0, seed=1)]
+    recorded = simulate(robot, path, effects={"payload@joint6": dict(zip(inertia.PARAMETERS, body, strict=True))}, perturb=0.05)
     found = diagnose(recorded, "wrench").found
     assert [f.term.effect.spec for f in found] == ["payload@joint6"]
     assert abs(found[0].term.values[0] - 3.0) < 4.0 * found[0].std[0]

@@ -257,6 +257,8 @@ def test_names_that_make_validation_worse_are_told_not_given(beside_much, search
     again_found = iter(searches)  # the same search of the same data
     monkeypatch.setattr("bayesid.workflows.diagnose.search", lambda *_: next(again_found))
     monkeypatch.setattr("bayesid.workflows.diagnose.validate", grown)
+    for later in ("_with_errors", "_with_description"):  # what comes after the verdict
+        monkeypatch.setattr(f"bayesid.workflows.diagnose.{later}", lambda result, *_: result)
     again = diagnose(data.experiment, "torque")
     assert again.verdict == "unknown" and not again.found and again.part is None
 

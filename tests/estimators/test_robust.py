@@ -149,8 +149,9 @@ def test_disturbed_recordings_of_robots(method):
         assert rms["robust"] < 1.5 * rms["clean"] and rms["ols"] > 5 * rms["clean"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ROBUST, ids=lambda m: m.name)
-@pytest.mark.parametrize("colour", [pytest.param(0.0, marks=pytest.mark.slow), 0.7])
+@pytest.mark.parametrize("colour", [0.0, 0.7])
 def test_intervals_cover_on_clean_and_touched_rows_with_colour(method, colour):
     rng = np.random.default_rng(5)
     inside = []
