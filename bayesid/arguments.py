@@ -83,7 +83,8 @@ def names(given: str | Iterable[str] | None) -> tuple[str, ...] | None:
 
 def unmasked(given: Any) -> Any:
     """What was given for numbers: an array of numpy's with a mask holds nan there, which `numpy.asarray` would uncover."""
-    return given.astype(float).filled(np.nan) if isinstance(given, np.ma.MaskedArray) and given.dtype.kind in "biuf" else given
+    masked = isinstance(given, np.ma.MaskedArray) and given.dtype.kind in "biuf"
+    return np.ma.filled(given.astype(float), np.nan) if masked else given
 
 
 def with_given(options: _O, **given: Any) -> _O:

@@ -111,6 +111,7 @@ class Experiment(Plots):
         InputError
             What is recorded cannot be right, whether it comes from a file or from arrays.
         """
+        self._check_kinds()
         self._check_robot()
         sizes = {key: getattr(self, key) for key in ("inertia_rel_std", "position_resolution", "position_std")}
         check_knowledge(sizes, self.gear_ratio, self.robot)
@@ -140,6 +141,24 @@ class Experiment(Plots):
         certain = tuple(finding.text for finding in findings)
         doubted = [text for text in self.warnings if text not in certain]
         object.__setattr__(self, "warnings", (*certain, *doubted, *doubts))
+
+    def _check_kinds(self) -> None:
+        """Refuse parts of another kind, such as a path for the robot; one motion, and effects as one text, are as in lists."""
+        object.__setattr__(self, "effects", _listed_effects(self.effects))
+        if isinstance(self.motions, Motion):
+            object.__setattr__(self, "motions", (self.motions,))
+        parts = [
+            ("robot", self.robot, Robot, "bayesid.load_robot(...)"),
+            ("sensor", self.sensor, Sensor | None, "bayesid.Sensor(...)"),
+        ]
+        for motion in self.motions:
+            parts.append(("a motion", motion, Motion, "bayesid.Motion(...)"))
+            if isinstance(motion, Motion):
+                parts.append((f"the table of {motion.name}", motion.table, Table, "bayesid.Table(...)"))
+                parts.append((f"static of {motion.name}", motion.static, Table | None, "bayesid.Table(...)"))
+        for name, part, kind, remedy in parts:
+            if not isinstance(part, kind):
+                raise InputError(f"experiment {self.name}: {name} is a {type(part).__name__}; give {remedy}")
 
     def _check_robot(self) -> None:
         """Take over which joints slide and where locked ones stand; the sensor must be where the robot was read for."""
@@ -270,10 +289,11 @@ class Experiment(Plots):
         else:
             robot = load_robot(urdf, joints, locked, gravity, None if sensor is None else sensor.joint)
             warnings += robot_doubts(robot, locked, "")
-        effects = [part.strip() for part in effects.split(",")] if isinstance(effects, str) else effects
-        own, values = with_stated_effects(robot, effects)
+        own, values = with_stated_effects(robot, None if effects is None else _listed_effects(effects))
         recording = dict(t=t, q=q, torques=torques, wrench=wrench, velocities=velocities, commanded=commanded)
-        held_out = list(validation) if isinstance(validation, list | tuple) else [] if validation is None else [validation]
+        held_out: list[Any] = (
+            list(validation) if isinstance(validation, list | tuple) else [] if validation is None else [validation]
+        )
         motions = []
         for k, given in enumerate([recording, *held_out]):
             called = "identification" if k == 0 else "validation" if len(held_out) == 1 else f"validation{k}"
@@ -547,6 +567,11 @@ def _read_motion(
         )
     parked = tuple((float(start), float(end)) for start, end in section.parked)
     return Motion(section.name, section.role, table, section.kind, static, section.period, parked, stored=stored), warnings
+
+
+def _listed_effects(effects: Sequence[str] | str) -> tuple[str, ...]:
+    """Effects one by one, of a list or of one text with commas between."""
+    return tuple(part.strip() for part in effects.split(",")) if isinstance(effects, str) else tuple(effects)
 
 
 def _as_table(given: Mapping[str, Any], robot: Robot, source: str) -> Table:

@@ -162,6 +162,22 @@ def test_columns_that_are_called_as_the_joints_stand_in_their_order(arm) -> None
         made(arm, wrench=wrench)
 
 
+def test_parts_of_another_kind_are_refused_in_one_line(arm) -> None:
+    folder, first, _ = arm
+    setup = load_experiment(folder)
+    motion = setup.motions[0]
+    for said, parts in {
+        "robot is a str; give bayesid.load_robot": ("robot.urdf", (motion,)),
+        "a motion is a Table; give bayesid.Motion": (setup.robot, (motion.table,)),
+        "the table of a is a DataFrame; give bayesid.Table": (setup.robot, (Motion("a", "identification", first),)),
+        "sensor is a str; give bayesid.Sensor": (setup.robot, (motion,), "base"),
+    }.items():
+        with pytest.raises(InputError, match=f"experiment parts: {said}"):
+            Experiment("parts", *parts)
+    one = Experiment("parts", setup.robot, motion, effects="viscous_friction, coulomb_friction")
+    assert one.motions == (motion,) and one.effects == ("viscous_friction", "coulomb_friction")
+
+
 def test_locked_may_be_a_series(arm) -> None:
     locked = pd.Series(load_experiment(arm[0]).locked)
     assert made(arm, locked=locked, validation=None).locked == dict(locked)
