@@ -524,6 +524,27 @@ LIFT = """<robot name="lift"><link name="base"/>
 </inertial></link></robot>"""
 
 
+def test_an_angle_that_is_rounded_in_the_urdf_explains_nothing_by_a_thousand_tons(tmp_path: Path) -> None:
+    """Gravity along parallel axes pulls at no joint, nor does it where one is off by what 1.5708 leaves of a right angle."""
+    left, heaviest = [], []
+    for angle in (0.0, 1.5708 - 0.5 * np.pi):
+        text = ur5()
+        start = text.index('rpy="', text.index('name="shoulder_lift_joint"'))
+        text = f'{text[:start]}rpy="{angle} 0 0{text[text.index(chr(34), start + 5) :]}'
+        robot = load_robot(write(tmp_path, text), ["shoulder_lift_joint", "elbow_joint"])
+        motion = fourier(robot, 0, duration=10.0)
+        table = recording(replace(robot, gravity=np.zeros(3)), None, motion, torque_std=0.1)
+        table = replace(table, torques=table.torques + 3.0 * np.tanh(motion[2] / 0.05) + 4.0 * np.sin(motion[1] * [9.0, 7.0]))
+        whole = experiment(robot, [Motion("a", "identification", table)])
+        fit = Explainer(robot, torque_channels(robot), low_passed(whole, "torque")).fit(
+            Change(gravity=np.array([0.0, 9.81, 0.0]))
+        )[0]
+        left.append(fit.left)
+        heaviest.append(fit.parameters[: 10 * robot.n : 10].max())
+    assert max(heaviest) < 1e4
+    np.testing.assert_allclose(left[1], left[0], rtol=1e-3)
+
+
 def test_what_no_reading_shows_is_rounding_of_either_sign():
     squares = np.diag([4.0, -1e-18, 1.0])
     np.testing.assert_allclose(_non_negative(squares, np.array([8.0, 0.0, -3.0]), 0.0), [2.0, 0.0, 0.0])

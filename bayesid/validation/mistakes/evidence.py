@@ -33,6 +33,8 @@ _USUAL_LENGTH = 0.2
 #: How far the centre of mass of what is carried may be from where the last joint's link begins [m]: no URDF tells.
 _TOOL_REACH = 0.4
 _MASS_BY_LENGTH = 12.0  # [kg/m]
+#: How many times as heavy as usual no body is, in whatever unit torques are.
+_HEAVIEST = 1e4
 #: Speed, as a share of the usual one, within which Coulomb friction turns over.
 _TURNS_OVER = 0.05
 _DIRECTIONS = np.array([d for d in itertools.product((-1, 0, 1), repeat=3) if d > (0, 0, 0)], dtype=float)
@@ -167,6 +169,10 @@ class Explainer:
         if self.has_masses:  # each nominal body times a factor: far fewer numbers, where the URDF is good
             families.append(np.asarray(block_diag(*robot.nominal[:, :, None])))
         self._families = [np.asarray(block_diag(bodies, others)) for bodies in families]
+        #: Ridge of a sample for the factors of any bodies, which are masses, and none for what is beside them: thousands of
+        #: tons explain nothing by a joint's angle that was rounded in the URDF (1.5708).
+        heaviest = _HEAVIEST * _MASS_BY_LENGTH * typical_length(robot)
+        self._light = np.repeat([heaviest**-2.0, 0.0], [families[0].shape[1], len(others)])
         variation = np.sqrt(np.mean((samples.readings - samples.readings.mean(axis=0)) ** 2, axis=0))
         if not self.torque:  # forces share a scale and moments another, so that a turned frame changes neither
             variation = np.repeat(np.sqrt(np.mean(variation.reshape(2, 3) ** 2, axis=1)), 3)
@@ -208,8 +214,8 @@ class Explainer:
         for _ in range(_ROUNDS):
             weights = np.maximum(left, self.floor) ** -2
             whole = np.tensordot(weights, squares, 1)
-            ridge = _RIDGE if k == 0 else _HARDLY_ANY
-            factors = _non_negative(expand.T @ whole @ expand, expand.T @ (weights @ products), ridge)
+            ridge, light = (_RIDGE, len(target) * self._light) if k == 0 else (_HARDLY_ANY, 0.0)
+            factors = _non_negative(expand.T @ whole @ expand, expand.T @ (weights @ products), ridge, light)
             left = rms(target - columns @ (expand @ factors))
         return expand @ factors, int(np.count_nonzero(factors))
 
@@ -445,15 +451,18 @@ def _squares(columns: np.ndarray) -> np.ndarray:
     return np.array([columns[:, c].T @ columns[:, c] for c in range(columns.shape[1])])
 
 
-def _non_negative(squares: np.ndarray, products: np.ndarray, ridge: float) -> np.ndarray:
-    """Least squares with factors that are not negative, from its normal equations."""
+def _non_negative(squares: np.ndarray, products: np.ndarray, ridge: float, own: np.ndarray | float = 0.0) -> np.ndarray:
+    """Least squares with factors that are not negative, from its normal equations.
+
+    ``ridge`` is that of the equations scaled to a diagonal of ones, ``own`` that of each factor as it is.
+    """
     size = np.sqrt(np.maximum(np.diag(squares), 0.0))  # rounding of what no reading shows is of either sign
     seen = size > 1e-9 * size.max()
     out = np.zeros(len(size))
     if not seen.any():  # SciPy's solver ends the whole process on an empty matrix
         return out
     scaled = squares[np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
-    root = cholesky(scaled + ridge * np.eye(len(scaled)))
+    root = cholesky(scaled + np.diag(ridge + np.broadcast_to(own, len(size))[seen] / size[seen] ** 2))
     out[seen] = nnls(root, solve_triangular(root, products[seen] / size[seen], trans=1))[0] / size[seen]
     return out
 
