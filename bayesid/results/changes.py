@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.arguments import argument, call
-from bayesid.diagnosis.changes.findings import HiddenChange, NamedChange, ReferenceComparison, Value
+from bayesid.diagnosis.changes.findings import HiddenChange, NamedChange, ReferenceComparison, Value, no_such_robot
 from bayesid.diagnosis.changes.held_out import Place
 from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
 from bayesid.estimators.parameters import joined, with_ends
@@ -254,6 +254,13 @@ def notes(comparison: ReferenceComparison) -> list[str]:
             out.append(f"A negative mass at {x.change.where}: something was taken away since the reference.")
     if c.described_by is not None:
         out.append(f"What stays goes with {c.described_by}.")
+    if (strange := no_such_robot(c.recording)).any():
+        names = listed([n for n, s in zip(c.recording.problem.row_model.channels.names, strange, strict=True) if s])
+        out.append(
+            f"The recording's own fit leaves up to {number(float(c.recording.grown.max()), 2)} times as much of {names} as the "
+            "reference's leaves: no other links or friction read so. Look for columns or cables that were exchanged, for other "
+            f"units or signs (`{call('check')}`), for a sensor that is overloaded or loose, and for contacts."
+        )
     return out
 
 

@@ -153,6 +153,25 @@ def test_a_payload_is_weighed_where_the_reference_leaves_the_mass_to_a_drive(tmp
     assert found.mass.low <= 1.3 <= found.mass.high and found.mass.high - found.mass.low < 0.2
 
 
+def test_readings_that_no_robot_gives_are_not_said_to_be_explained(tmp_path):
+    """Two cables of the sensor exchanged: its own fit's residual was the only measure, and crosstalk was all that was named."""
+    robot, sensor = puma2(tmp_path), Sensor(rpy=np.array([0.0, 0.3, 0.0]))
+
+    def recorded(seed, columns, std=0.5):
+        table = recording(
+            robot, sensor, fourier(robot, seed, duration=12.0), seed=seed, force_std=std, torque_std=0.1 * std, resolution=1e-5
+        )
+        return experiment(robot, [Motion("run", "identification", replace(table, wrench=table.wrench[:, columns]))], sensor)
+
+    before = recorded(1, [0, 1, 2, 3, 4, 5])
+    found = bayesid.diagnose(recorded(2, [0, 1, 2, 4, 3, 5]), reference=before, channel="wrench")
+    assert found.verdict not in ("named", "nothing_missing")
+    (note,) = (x for x in str(found).splitlines() if "exchanged" in x)
+    assert "times as much of" in note and "mx, my" in note
+    noisier = bayesid.diagnose(recorded(2, [0, 1, 2, 3, 4, 5], std=1.0), reference=before, channel="wrench")
+    assert noisier.verdict == "nothing_missing" and noisier.comparison.recording.grown == pytest.approx(2.0, rel=0.2)
+
+
 def test_the_report_states_the_thresholds_in_use(with_payload):
     found = with_payload[2]
     assert found.comparison.settings == DEFAULT and f"{DEFAULT.accept:g} is asked for" in changes_report(found)

@@ -85,19 +85,28 @@ def confirmed(selection: Selection, errors: HeldOutErrors, settings: Settings) -
     return tuple(out)
 
 
-def verdict(selection: Selection, errors: HeldOutErrors, settings: Settings) -> Verdict:
+def no_such_robot(recording: LaterRecording) -> np.ndarray:
+    """Channels of which the recording's own fit leaves more, beside what the reference's leaves, than any dispersion allows (c,).
+
+    What changed there is nothing that another robot with this model would read, such as two cables that were exchanged.
+    """
+    return recording.grown**2 > DISPERSIONS[-1]
+
+
+def verdict(selection: Selection, errors: HeldOutErrors, settings: Settings, more: bool) -> Verdict:
     """The verdict on changes that the data demand, from how they do on held-out parts.
 
     Without a change there is something unknown where the data demand one that held-out parts deny, or where, with what wanders
-    within its tolerance, they are predicted worse than any dispersion allows.
+    within its tolerance, they are predicted worse than any dispersion allows; or where ``more`` is known to have changed,
+    see `no_such_robot`.
     """
     named = confirmed(selection, errors, settings)
     if not named:
-        unexplained = errors.tolerance > DISPERSIONS[-1] * errors.floor
+        unexplained = more or errors.tolerance > DISPERSIONS[-1] * errors.floor
         return "unknown" if selection.accepted or unexplained else "nothing_missing"
     if any(a.rivals for a in named):
         return "ambiguous"
-    open_ = np.isfinite(errors.closed) and errors.remainder > 1.0 - settings.nearly_all
+    open_ = more or (np.isfinite(errors.closed) and errors.remainder > 1.0 - settings.nearly_all)
     return "named_in_part" if open_ or len(named) < len(selection.accepted) else "named"
 
 
@@ -219,7 +228,7 @@ def compare_with_learned(
     except np.linalg.LinAlgError:  # weights without bound
         said = "its own fit leaves next to nothing of some readings, so that what a change leaves has no measure; record longer"
         raise InputError(f"experiment {after.name}: {said}") from None
-    decided = verdict(selection, errors, settings)
+    decided = verdict(selection, errors, settings, bool(no_such_robot(recording).any()))
     named = confirmed(selection, errors, settings)
     free = selection.for_values
     fitted = amplitudes(free.marginal())

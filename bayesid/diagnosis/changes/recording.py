@@ -42,6 +42,7 @@ class LaterRecording:
     own: np.ndarray
     scale: np.ndarray  # unit of each channel (c,) [N m or N], times the root of ``samples``
     samples: float  # how many samples a row stands for
+    grown: np.ndarray  # how many times as much of each channel as the reference's own fit its own fit leaves (c,)
     correlation: float  # how many rows count as one: dispersion of the own fit between parts of the recording
 
 
@@ -78,6 +79,9 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
     scale = np.sqrt(np.sum(own**2, axis=0) / (len(own) - p / count))
     scale = np.maximum(scale, 1e-9 * scale.max(initial=1e-200))
     left = own / np.maximum(np.sqrt(np.mean(own**2, axis=0)), 1e-300)
+    samples = _samples_of_a_row(problem)
+    # Noise is alike in single samples, what a model lacks in rows.
+    grown = scale / reference.left * min(1.0, np.sqrt(_samples_of_a_row(before) / samples))
     flat = (rows / scale[:, None]).reshape(-1, rows.shape[2])
     x, z, y = flat[:, :p], flat[:, p:-1], flat[:, -1]
     grams = [part.T @ part for part in np.array_split(np.column_stack([x, y]), PARTS)]
@@ -85,10 +89,14 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
         problem, np.hstack([x, x @ _body_columns(problem), z, z - x @ reference.lacking.carried]), y - x @ reference.solution,
         np.repeat(np.concatenate([block.times for block in blocks]), count),
         np.repeat(np.concatenate([np.full(len(block.rows), block.motion) for block in blocks]), count),
-        np.tile(np.arange(count), len(rows)), left.ravel(), scale,
-        max(model.step / float(np.median(np.concatenate([np.diff(s.times) for s in problem.fitted_segments]))), 1.0),
+        np.tile(np.arange(count), len(rows)), left.ravel(), scale, samples, grown,
         dispersions(Rows(grams), estimate.solution)[0].factor,
     )  # fmt: skip
+
+
+def _samples_of_a_row(problem: Problem) -> float:
+    step = float(np.median(np.concatenate([np.diff(s.times) for s in problem.fitted_segments])))
+    return max(problem.row_model.step / step, 1.0)
 
 
 def chosen_bandwidth(reference: Reference, experiment: Experiment, motions: Sequence[str] | None) -> float:

@@ -128,6 +128,16 @@ class Reference:
         return self.estimate.solution
 
     @cached_property
+    def left(self) -> np.ndarray:
+        """What its fit leaves of each channel (c,), in units of `LaterRecording.scale`."""
+        regression = self.problem.regression
+        blocks = [block.matrix @ self.solution - block.target for block in regression.rows.blocks()]
+        power = np.sum(np.concatenate(blocks) ** 2, axis=0)
+        count = sum(len(b) for b in blocks) - len(self.solution) / len(power)
+        left = np.sqrt(power / max(count, 1.0))
+        return np.maximum(left, 1e-9 * left.max(initial=1e-200))
+
+    @cached_property
     def point(self) -> Point:
         """Links and effects of the reference, where readings of the later recording are linearised."""
         model = self.problem.row_model
