@@ -153,9 +153,8 @@ def delayed(experiment: Experiment, channel: str) -> Mistake | None:
     late = f"{read}{columns}" if delay > 0.0 else "The positions (q) are"
     other, moved = ("the positions", read.lower()) if delay > 0.0 else (read.lower(), "the positions")
     text = (
-        f"{late} {1e3 * abs(delay):.3g} +- {number(1e3 * max(std, 1e-4), 1)} ms late against {other}: with that undone, what "
-        f"the motion does not explain of {channels.names[k]} falls "
-        f"from {profile.left[k, none]:.2g} to {profile.left[k, best]:.2g} "
+        f"{late} {1e3 * abs(delay):.3g} +- {number(1e3 * max(std, 1e-4), 1)} ms late against {other}: with that undone, what the "
+        f"motion does not explain of {channels.names[k]} falls from {profile.left[k, none]:.2g} to {profile.left[k, best]:.2g} "
         f"{channels.units[k]} rms; shift the times of {moved} by {-abs(delay):.3f} s and interpolate, or record on one clock"
     )
     return Mistake(
