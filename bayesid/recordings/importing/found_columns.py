@@ -289,7 +289,7 @@ class _Finder:
         if not entries and self._lookup(name) is None:
             if "," in name:
                 return [part.strip() for part in name.split(",")]
-            raise self._absent(name, key)
+            raise self._absent(name, key, whole=True)
         return entries or [name]
 
     def _lookup(self, name: str) -> tuple[Stream, str] | None:
@@ -312,10 +312,9 @@ class _Finder:
             raise self._absent(given, key)
         return place
 
-    def _absent(self, name: str, key: str) -> InputError:
-        return InputError(
-            f'no column "{cut(name, 80)}"', file=self.source, key=f"columns {key}", value=name, remedy=_near(name, self.streams)
-        )
+    def _absent(self, name: str, key: str, whole: bool = False) -> InputError:
+        remedy = _near(name, self.streams, whole)
+        return InputError(f'no column "{cut(name, 80)}"', file=self.source, key=f"columns {key}", value=name, remedy=remedy)
 
     def _ambiguous(self, what: str, names: Sequence[str]) -> InputError:
         return InputError(
@@ -360,8 +359,9 @@ def _stated_unit(column: str, quantity: str) -> str | None:
     return known_unit(quantity, match[1]) if match and not match[1].isdigit() else None
 
 
-def _near(name: str, streams: Sequence[Stream]) -> str:
-    columns = (s.full_name(c) for s in streams for c in s.columns)
+def _near(name: str, streams: Sequence[Stream], whole: bool = False) -> str:
+    """What may be meant: a column, or for a ``whole`` quantity an array of them as `_groups` names it."""
+    columns = (s.full_name(c) for s in streams for c in s.columns if not whole)
     return suggest(name, dict.fromkeys([*_groups(streams), *columns]), "its columns are")
 
 

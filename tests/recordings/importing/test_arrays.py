@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -176,6 +177,13 @@ def test_a_time_series_of_mujoco_is_read_by_its_mapping(known, tmp_path):
     np.savez(tmp_path / "run.npz", times=known.t, data=data, signal_mapping=np.asarray('{"a": [2, [99]]}'))
     with pytest.raises(InputError, match="cannot be read as a TimeSeries of MuJoCo"):
         bayesid.read_recording(tmp_path / "run.npz", known.urdf)
+
+
+def test_an_array_is_offered_whole_where_a_quantity_is_misspelt(known, tmp_path):
+    scipy.io.savemat(tmp_path / "run.mat", {"rec": {"time": known.t, "act_pos_rad": known.q, "act_torque_nm": known.tau}})
+    for key, name, meant in (("q", "rec.act_pos_rad", "rec/act_pos_rad[0:2]"), ("q1", "rec/act_pos_rad[2]", "rec/act_pos_rad[")):
+        with pytest.raises(InputError, match=re.escape(f'no column "{name}"; did you mean "{meant}')):
+            bayesid.read_recording(tmp_path / "run.mat", known.urdf, joints=JOINTS, columns={key: name})
 
 
 def test_pickled_arrays_and_archives_of_any_size_are_not_loaded(known, tmp_path):
