@@ -61,6 +61,8 @@ def read_source(
     )
     if path.suffix.lower() in (".xlsx", ".xls", ".ods"):
         remedy = "save the sheet as CSV"
+    if path.suffix.lower() in (".json", ".jsonl"):
+        remedy = "save its records as CSV: pandas.DataFrame(records).to_csv(...)"
     if kind == "pickle":
         what, remedy = "is a pickle, which could run anything when it is read", "save arrays as .npz or CSV"
     elif path.is_dir():

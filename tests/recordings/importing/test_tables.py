@@ -330,7 +330,10 @@ def test_a_file_that_goes_on_where_another_ends_is_told(known, tmp_path):
     assert "second after first, as one recording: the same columns at later times" in str(imported)
 
 
-@pytest.mark.parametrize(("name", "said"), [("log.xlsx", "save the sheet as CSV"), ("echo.txt", "record a bag")])
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("log.xlsx", "save the sheet as CSV"), ("log.json", "save its records as CSV"), ("echo.txt", "record a bag")],
+)
 def test_what_is_no_table_is_told_with_what_to_do(name, said, known, tmp_path):
     (tmp_path / name).write_text("header:\n  stamp:\n    sec: 1\nposition:\n- 0.1\n---\n", encoding="utf-8")
     with pytest.raises(InputError, match=said):
