@@ -151,6 +151,7 @@ _FEW = 2  # frozen encoders more than this are named in one line
 _CLOCKS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 _EPOCH = (3e8, 1e10)  # seconds since 1970, of computers' dates
 _USUAL_STEP = 4e-3  # in the middle of those of robots' logs, 1 ms to 20 ms [s]
+_MARK = 100.0  # usual ranges of a channel, which no reading goes and comes back within a sample
 _END = 0.05  # of a joint's range, within which its end stop is
 _WINDOW = 5  # samples before and after a place over which a speed is taken
 
@@ -180,6 +181,7 @@ def check_trajectory(table: Table, robot: Robot, resolution: float | None, held:
     warnings += _encoders(table, robot, stalled, resolution)
     for name, values in table.channels():
         warnings += [] if name in held else _clipped(table, name, values)
+        warnings += _marks(table, name, values)
     return warnings
 
 
@@ -280,10 +282,14 @@ def check_velocity(table: Table, robot: Robot, j: int) -> list[str]:
 
 
 def _jumping(table: Table, j: int) -> np.ndarray:
-    """Return (N - 1,): the steps of the position that no joint makes within a sample."""
+    """Return (N - 1,): the steps of the position that no joint makes within a sample.
+
+    Up to a tenth of the steps may be such, as where a logger writes 0 in place of what it did not get.
+    """
     steps = np.abs(np.diff(table.positions[:, j]))
     steps[np.diff(table.times) > GAP * table.step] = 0.0
-    return steps > max(0.5, 20.0 * float(np.quantile(steps, 0.99)))
+    usual = float(np.quantile(steps[steps > 0.0], 0.9)) if steps.any() else 0.0
+    return steps > max(0.5, 20.0 * usual)
 
 
 def _jumps(table: Table, robot: Robot, j: int) -> list[str]:
@@ -423,6 +429,20 @@ def _frozen(table: Table, j: int, stalled: np.ndarray, resolution: float | None)
 def _mean_speed(t: np.ndarray, q: np.ndarray, a: int, b: int) -> float:
     a, b = max(a, 0), min(b, len(t) - 1)
     return float(abs(q[b] - q[a]) / (t[b] - t[a])) if b > a else 0.0
+
+
+def _marks(table: Table, name: str, values: np.ndarray) -> list[str]:
+    """Find single samples so far from both neighbours that they are no readings, such as -9999 where a logger had none."""
+    usual = float(np.ptp(np.quantile(values, [0.1, 0.9])))
+    off = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
+    if not usual or not (off > _MARK * usual).any():
+        return []
+    worst = 1 + int(np.argmax(off))
+    rows = int(np.count_nonzero(np.abs(values - np.median(values)) > 0.5 * _MARK * usual))
+    return [
+        f"{table.source}: column {name}: {values[worst]:g} at {table.times[worst]:.6g} s, far from the readings before and after "
+        f"({rows} such row{'s' * (rows != 1)}); if it marks a missing reading, leave the cell empty"
+    ]
 
 
 def _clipped(table: Table, name: str, values: np.ndarray) -> list[str]:

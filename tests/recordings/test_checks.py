@@ -102,6 +102,15 @@ def locked_beyond(folder: Path) -> None:
     path.write_text(f'{before}upper="-0.5{after}')
 
 
+def zeros(frame: pd.DataFrame) -> pd.DataFrame:
+    """Rows in which a logger wrote 0 for the angle that it did not get, one in fifty."""
+    return frame.assign(q1=frame["q1"].where(frame.index % 50 != 7, 0.0))
+
+
+def marked(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.assign(fx=frame["fx"].where(frame.index % 50 != 7, -9999.0))
+
+
 def no_inertial(folder: Path) -> None:
     """The link beyond the elbow keeps its shape, and loses its mass."""
     path = folder / "robot.urdf"
@@ -174,6 +183,10 @@ DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("a locked joint that follows", urdf('<axis xyz="1.0 0', '<mimic joint="elbow" /><axis xyz="1.0 0'),
      ("robot.urdf: joint wrist mimics elbow", "locked")),
     ("locked in degrees", toml("wrist = 0.1", "wrist = 90"), ("[robot] locked: wrist = 90 rad", "degrees")),
+    ("zeros for lost rows", table(zeros, "validation.csv"),
+     ("validation.csv: column q1: shoulder jumps by", "check the encoder")),
+    ("a mark for a lost reading", table(marked, "validation.csv"),
+     ("validation.csv: column fx: -9999 at", "leave the cell empty")),
     ("locked beyond its limits", lambda folder: locked_beyond(folder),
      ("[robot] locked: wrist = 0.1, robot.urdf allows -3.1", "rad")),
     ("translation in millimetres", toml("[0.0, 0.0, -0.1]", "[0.0, 0.0, -100.0]"), ("[sensor] translation", "millimetres")),
