@@ -204,7 +204,8 @@ def _converted(
         raise InputError(f"{other} is no unit of {_SAID[quantity]}", file=source, key=place, value=other, remedy=remedy)
     if used is None:
         problem = f"{unit} is no unit of {joint}, which {'slides' if joint in sliding else 'turns'}"
-        remedy = f"state its own ({argument('units')} {found.ours}={ours})"
+        own = f'{found.ours} = "{ours}" in [units]' if stated.file else f"{argument('units')} {found.ours}={ours}"
+        remedy = f"state its own ({own})"
         raise InputError(problem, file=stated.file or source, key=f"units {found.ours}", value=unit, remedy=remedy)
     scale = 1.0 if scale is None else scale
     factor = UNITS[quantity][used] * scale

@@ -54,6 +54,9 @@ def test_a_unit_of_joints_that_turn_is_none_of_one_that_slides(urdf, tmp_path):
     ):
         with pytest.raises(InputError, match=said):
             bayesid.read_recording(path, urdf, units=units, **options)
+    (mapping := tmp_path / "mapping.toml").write_text('units.q = "deg"')  # what is stated in a file is mended there
+    with pytest.raises(InputError, match=r'mapping.toml: units q1: .* state its own \(q1 = "m" in \[units\]\)'):
+        bayesid.read_recording(path, urdf, mapping=mapping, **options)
     imported = bayesid.read_recording(path, urdf, units={"q": "deg", "q1": "mm"}, **options)
     np.testing.assert_allclose(imported.experiment.motions[0].table.positions, Q, rtol=1e-14)
     assert imported.experiment.locked["wrist"] == pytest.approx(REST)
