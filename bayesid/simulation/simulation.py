@@ -177,7 +177,7 @@ def simulate(
     Returns
     -------
     simulation
-        An experiment with the setup's nominal robot and model, and the truth.
+        An experiment with the setup's nominal robot and model, and the truth; `write_simulation` writes both into a folder.
 
     Raises
     ------
