@@ -15,8 +15,9 @@ from bayesid.arguments import argument, call
 from bayesid.drawing import Plots
 from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import Finding, columns_of, listed, suggest
+from bayesid.recordings.complaints import Finding, columns_of, listed
 from bayesid.recordings.examination import examine
+from bayesid.recordings.given import as_table, check_kinds, listed_effects
 from bayesid.recordings.importing.column_map import ColumnMap, column_map
 from bayesid.recordings.importing.recording import read_stated
 from bayesid.recordings.importing.stream import kind_of
@@ -111,7 +112,9 @@ class Experiment(Plots):
         InputError
             What is recorded cannot be right, whether it comes from a file or from arrays.
         """
-        self._check_kinds()
+        object.__setattr__(self, "effects", listed_effects(self.effects))
+        object.__setattr__(self, "motions", (self.motions,) if isinstance(self.motions, Motion) else self.motions)
+        check_kinds(self.name, self.robot, self.sensor, self.motions)
         self._check_robot()
         sizes = {key: getattr(self, key) for key in ("inertia_rel_std", "position_resolution", "position_std")}
         check_knowledge(sizes, self.gear_ratio, self.robot)
@@ -141,24 +144,6 @@ class Experiment(Plots):
         certain = tuple(finding.text for finding in findings)
         doubted = [text for text in self.warnings if text not in certain]
         object.__setattr__(self, "warnings", (*certain, *doubted, *doubts))
-
-    def _check_kinds(self) -> None:
-        """Refuse parts of another kind, such as a path for the robot; one motion, and effects as one text, are as in lists."""
-        object.__setattr__(self, "effects", _listed_effects(self.effects))
-        if isinstance(self.motions, Motion):
-            object.__setattr__(self, "motions", (self.motions,))
-        parts = [
-            ("robot", self.robot, Robot, "bayesid.load_robot(...)"),
-            ("sensor", self.sensor, Sensor | None, "bayesid.Sensor(...)"),
-        ]
-        for motion in self.motions:
-            parts.append(("a motion", motion, Motion, "bayesid.Motion(...)"))
-            if isinstance(motion, Motion):
-                parts.append((f"the table of {motion.name}", motion.table, Table, "bayesid.Table(...)"))
-                parts.append((f"static of {motion.name}", motion.static, Table | None, "bayesid.Table(...)"))
-        for name, part, kind, remedy in parts:
-            if not isinstance(part, kind):
-                raise InputError(f"experiment {self.name}: {name} is a {type(part).__name__}; give {remedy}")
 
     def _check_robot(self) -> None:
         """Take over which joints slide and where locked ones stand; the sensor must be where the robot was read for."""
@@ -289,7 +274,7 @@ class Experiment(Plots):
         else:
             robot = load_robot(urdf, joints, locked, gravity, None if sensor is None else sensor.joint)
             warnings += robot_doubts(robot, locked, "")
-        own, values = with_stated_effects(robot, None if effects is None else _listed_effects(effects))
+        own, values = with_stated_effects(robot, None if effects is None else listed_effects(effects))
         recording = dict(t=t, q=q, torques=torques, wrench=wrench, velocities=velocities, commanded=commanded)
         held_out: list[Any] = (
             list(validation) if isinstance(validation, list | tuple) else [] if validation is None else [validation]
@@ -297,7 +282,7 @@ class Experiment(Plots):
         motions = []
         for k, given in enumerate([recording, *held_out]):
             called = "identification" if k == 0 else "validation" if len(held_out) == 1 else f"validation{k}"
-            table = given if isinstance(given, Table) else _as_table(given, robot, called)
+            table = given if isinstance(given, Table) else as_table(given, robot, called)
             if table.positions.shape[1] != robot.n:
                 raise InputError(
                     f"{called}: q has {table.positions.shape[1]} columns but {robot.urdf.name} has {robot.n} moving joints "
@@ -567,30 +552,6 @@ def _read_motion(
         )
     parked = tuple((float(start), float(end)) for start, end in section.parked)
     return Motion(section.name, section.role, table, section.kind, static, section.period, parked, stored=stored), warnings
-
-
-def _listed_effects(effects: Sequence[str] | str) -> tuple[str, ...]:
-    """Effects one by one, of a list or of one text with commas between."""
-    return tuple(part.strip() for part in effects.split(",")) if isinstance(effects, str) else tuple(effects)
-
-
-def _as_table(given: Mapping[str, Any], robot: Robot, source: str) -> Table:
-    """A recording's arrays by the names of `Experiment.from_arrays`, as a table."""
-    if not isinstance(given, Mapping):
-        raise InputError(f"{source}: is a {type(given).__name__}; give dict(t=..., q=..., torques=...), or a Table")
-    names = {"t": "times", "q": "positions", **{k: k for k in ("torques", "wrench", "velocities", "commanded")}}
-    for key in given:
-        if key not in names:
-            raise InputError(f"{source}: {key}: no such array; {suggest(key, names)}")
-    for key in ("t", "q"):
-        if given.get(key) is None:
-            raise InputError(f"{source}: {key} is missing; give times t (N,) and joint positions q (N, n)")
-    for key, values in given.items():
-        columns, order = list(getattr(values, "columns", ())), WRENCH_COLUMNS if key == "wrench" else robot.joint_names
-        if sorted(map(str, columns)) == sorted(order) and columns != list(order):
-            remedy = "give them in this order" + ("" if key == "wrench" else ", or joints=[...] in that of the columns")
-            raise InputError(f"{source}: {key}: the columns are {listed(columns)}, not {listed(order)}; {remedy}")
-    return Table(**{names[key]: value for key, value in given.items()}, source=source)
 
 
 def _check_present(table: Table, has_sensor: bool, arrays: bool) -> list[str]:
