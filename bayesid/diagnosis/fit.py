@@ -378,7 +378,7 @@ def distance(best: Fit, index: int) -> tuple[float, int]:
 
     That are the parameters that readings are linear in: without a force there is no contact, however well its window and its
     point are known, and without stiffness no tether. An effect that has none of them, as a delay, is measured by all of its
-    parameters.
+    parameters that are determined: how firm teeth are that are firmer than readings show says nothing of the gap between them.
 
     Where the interval of its shape lies within what is plausible, the covariance is that at this shape, whose values count, too:
     of a friction that is the larger the smaller its coupling is, no single number is known, yet it is there, and beside an
@@ -387,12 +387,14 @@ def distance(best: Fit, index: int) -> tuple[float, int]:
     """
     term, settings = best.terms[index], best.projector.data.settings
     effect, shape = term.effect, set(term.effect.shape)
-    counts = set(effect.parameters) - shape or shape
+    linear = set(effect.parameters) - shape
     own = [(column, k) for column, (owner, k) in enumerate(best.free) if owner == index]
     at, free = [column for column, _ in own], [k for _, k in own]
-    sizes = np.array([effect.parameters[k] in counts for k in free], bool)
-    if shape and not best.determined[at][sizes].all():
-        return 0.0, int(sizes.sum())  # another shape would do with any size
+    sizes, determined = np.array([effect.parameters[k] in (linear or shape) for k in free], bool), best.determined[at]
+    if shape and not determined[sizes].all():
+        if linear or not determined.any():
+            return 0.0, int(sizes.sum())  # another shape would do with any size
+        at, free, sizes = (np.array(x)[determined] for x in (at, free, sizes))
     values, covariance = np.array(term.values)[free], best.covariance[np.ix_(at, at)]
     half = norm.ppf(0.5 + 0.5 * settings.interval) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     low, high = (np.array(end)[free] for end in (effect.lower, effect.upper))

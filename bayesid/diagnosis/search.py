@@ -12,12 +12,12 @@ from math import inf
 
 import numpy as np
 
-from bayesid.diagnosis.candidates import Library, Proposal, surroundings
+from bayesid.diagnosis.candidates import Library, Proposal, make_library, surroundings
 from bayesid.diagnosis.data import OneValue
 from bayesid.diagnosis.fit import Fit, differs_from_zero, distance, fit
 from bayesid.diagnosis.forward import State, forward_selection, is_surrogate_combination, measured_dispersion, too_many_to_name
 from bayesid.diagnosis.noise import with_noise_of
-from bayesid.diagnosis.noise_models import NoiseModels, as_points, prepared
+from bayesid.diagnosis.noise_models import NoiseModels, as_points, prepared, soft_terms
 from bayesid.diagnosis.projector import NuisanceProjector, make_projector
 from bayesid.diagnosis.rivals import Found, Pruned, as_payload, canonical, essential, prune, with_rivals
 from bayesid.effects import Term
@@ -128,11 +128,11 @@ def holds_below(s: Search, named: bool) -> float:
     return limit if limit < data.segments[0].trajectory.bandwidth else inf
 
 
-def certain(s: Search) -> Search:
+def certain(s: Search, seed: int) -> Search:
     """What was found without effects that do not differ from zero: those are not named, whatever the fit gains by them.
 
     A rival that does differ from zero takes the place of such a one: play that only has to be large enough to look like a spring
-    is a flexible joint.
+    is a flexible joint. ``seed`` is that of the encoders' repeated rounding.
     """
     known = len(s.base.terms)
     vague = [k for k in range(known, len(s.best.terms)) if not differs_from_zero(s.best, k, s.dispersion)]
@@ -148,15 +148,20 @@ def certain(s: Search) -> Search:
             others = tuple(r for r in own.rivals if r[0] is not rival)
             found = [*s.found]
             found[least - known] = replace(own, gain=own.gain - lack, rivals=others)
-            return certain(_of_model(s, best, found))
+            return certain(_of_model(s, best, found, seed), seed)
     terms = tuple(t for k, t in enumerate(s.best.terms) if k != least)
     rest = [f for k, f in enumerate(s.found, known) if k != least]
-    return certain(_of_model(s, fit(s.best.projector, terms, s.best) if rest else s.base, rest))
+    return certain(_of_model(s, fit(s.best.projector, terms, s.best) if rest else s.base, rest, seed), seed)
 
 
-def _of_model(s: Search, best: Fit, found: Sequence[Found]) -> Search:
-    """The search with another best model and its effects, whose values are those of the model."""
+def _of_model(s: Search, best: Fit, found: Sequence[Found], seed: int) -> Search:
+    """The search with another best model and its effects, whose values are those of the model, under the noise that it makes."""
     known = len(s.base.terms)
+    if s.projector.data.floor_known and soft_terms(best.terms) != soft_terms(s.best.terms):
+        projector = make_projector(with_noise_of(s.projector.data, best.links, best.terms, seed), best.terms)
+        base, best = fit(projector, s.base.terms, s.base), fit(projector, best.terms, best)
+        library = make_library(projector, base)
+        s = replace(s, projector=projector, base=base, library=library, dispersion=library.dispersion(best))
     own = tuple(
         replace(f, term=canonical(as_payload(best, k, s.dispersion)[0]), std=best.std(k, s.dispersion))
         for k, f in enumerate(found, known)

@@ -238,7 +238,7 @@ class _Decided:
 
 
 def _decided(s: Search, seed: int) -> _Decided:
-    sure = certain(s)
+    sure = certain(s, seed)
     gap = validate(s.projector, s.base, sure.best, s.dispersion, seed)
     parts = _stability(sure, sure.found)
     return _Decided(s, sure, gap, parts, *verdict(evidence_of(sure, gap, parts), s.projector.data.settings))

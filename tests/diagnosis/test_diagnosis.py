@@ -30,7 +30,7 @@ from bayesid.diagnosis import (
 from bayesid.diagnosis.contacts import is_excuse
 from bayesid.diagnosis.data import Episode, active_terms, residual_rows, term_rows
 from bayesid.diagnosis.fit import differs_from_zero, distance
-from bayesid.diagnosis.noise import smoothed
+from bayesid.diagnosis.noise import smoothed, with_noise_of
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.search import certain
@@ -245,9 +245,35 @@ def test_a_value_inside_its_interval_is_not_named(tilted):
     interval = squared / chi2.ppf(DEFAULT.interval, 2)  # that much more dispersion, and the values stay inside
     assert differs_from_zero(best, 0, 0.99 * interval) and not differs_from_zero(best, 0, 1.01 * interval)
     found = found.search
-    assert certain(found) is found
-    none = certain(replace(found, dispersion=1e3 * interval))
+    assert certain(found, 0) is found
+    none = certain(replace(found, dispersion=1e3 * interval), 0)
     assert none.found == () and none.best is found.base
+
+
+def test_play_between_teeth_firmer_than_readings_show_differs_from_zero(tilted):
+    """Beside a gap that is known it says nothing that nobody knows how firm they are; where no gap is known, either, it does."""
+    _, folder, _ = tilted
+    data, nuisance = made(folder, "wrench")
+    play = fit.fit(nuisance, (Term(data.places("backlash")[1], (2e-3, 1e-3)),), None, 0)
+    known = replace(play, determined=np.array([True, False]), covariance=np.diag([1e-4, 0.0]) ** 2)
+    assert distance(known, 0) == (pytest.approx(20.0**2), 1) and differs_from_zero(known, 0)
+    for determined in ([False, False], [False, True]):
+        vague = replace(play, determined=np.array(determined), covariance=np.diag([1e-4, 1.0]) ** 2)
+        assert not differs_from_zero(vague, 0)
+
+
+def test_what_stays_without_a_soft_joint_is_judged_under_its_own_noise(tilted):
+    """Louder noise, which a joint that gives way made of encoders' errors, hides nothing once that joint is not named."""
+    found = tilted[0].search
+    (tilt,), data = found.found, found.best.projector.data
+    effects = (tilt.term, Term(data.places("joint_flexibility")[1], (1e-4,)))
+    loud = replace(data, segments=tuple(s.with_noise(9.0 * s.covariance) for s in data.segments))
+    soft = projector.make_projector(loud, effects)
+    best = replace(fit.fit(soft, effects, found.best, 0), covariance=np.diag([1e-12, 1e-12, 1e6]))
+    both = (tilt, replace(tilt, term=best.terms[1], rivals=()))
+    sure = certain(replace(found, projector=soft, base=fit.fit(soft, (), found.base), best=best, found=both), 0)
+    assert [f.term.effect for f in sure.found] == [tilt.term.effect]
+    assert best.chi2 < 0.5 * found.best.chi2 and sure.best.chi2 == pytest.approx(found.best.chi2, rel=0.02)
 
 
 def test_a_rival_that_differs_from_zero_takes_the_place_of_an_effect_that_does_not(tilted):
@@ -258,7 +284,7 @@ def test_a_rival_that_differs_from_zero_takes_the_place_of_an_effect_that_does_n
     vague = fit.fit(found.best.projector, (gain,), found.base)
     assert not differs_from_zero(vague, 0, 1e3)
     own = replace(tilt, term=gain, rivals=((replace(tilt.term, values=(0.0, 0.0)), 1.2),))
-    sure = certain(replace(found, best=replace(vague, covariance=1e6 * vague.covariance), found=(own,)))
+    sure = certain(replace(found, best=replace(vague, covariance=1e6 * vague.covariance), found=(own,)), 0)
     assert [f.term.effect for f in sure.found] == [tilt.term.effect] and sure.found[0].rivals == ()
     np.testing.assert_allclose(sure.found[0].term.values, tilt.term.values, rtol=1e-3)
     assert sure.found[0].gain == pytest.approx(tilt.gain - 1.2)
