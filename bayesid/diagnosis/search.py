@@ -38,6 +38,8 @@ class Search:
     library: Library | None = None  # columns of all effects at the user's model, for the report
     #: Effects that the data demanded beside those found, for so small a share that those found may be a little inexact instead.
     dropped: tuple[Term, ...] = ()
+    #: Effects that the data demanded beside those found, but whose values do not differ from zero (`certain`).
+    vague: tuple[Term, ...] = ()
 
     @property
     def noise_level(self) -> float:
@@ -151,6 +153,7 @@ def certain(s: Search, seed: int) -> Search:
             return certain(_of_model(s, best, found, seed), seed)
     terms = tuple(t for k, t in enumerate(s.best.terms) if k != least)
     rest = [f for k, f in enumerate(s.found, known) if k != least]
+    s = replace(s, vague=(*s.vague, s.best.terms[least]))
     return certain(_of_model(s, fit(s.best.projector, terms, s.best) if rest else s.base, rest, seed), seed)
 
 

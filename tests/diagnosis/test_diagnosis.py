@@ -30,9 +30,10 @@ from bayesid.diagnosis import (
 from bayesid.diagnosis.contacts import is_excuse
 from bayesid.diagnosis.data import Episode, active_terms, residual_rows, term_rows
 from bayesid.diagnosis.fit import differs_from_zero, distance
-from bayesid.diagnosis.noise import smoothed, with_noise_of
+from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.prepare import prepare_data
+from bayesid.diagnosis.remarks import remarks
 from bayesid.diagnosis.search import certain
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.effects import EffectLibrary, Term, columns
@@ -248,6 +249,9 @@ def test_a_value_inside_its_interval_is_not_named(tilted):
     assert certain(found, 0) is found
     none = certain(replace(found, dispersion=1e3 * interval), 0)
     assert none.found == () and none.best is found.base
+    said = remarks(none, None, "nothing_missing", "", ())
+    assert any("base_tilt@base would fit what is left" in r and "not named" in r for r in said)
+    assert not any("would fit what is left" in r for r in tilted[0].remarks)
 
 
 def test_play_between_teeth_firmer_than_readings_show_differs_from_zero(tilted):
