@@ -18,6 +18,7 @@ import numpy as np
 from bayesid.design.bounds.model import ReadingModel, spread
 from bayesid.design.bounds.region import left_out, quantile
 from bayesid.design.bounds.remainder import Remainder
+from bayesid.regression.linalg import or_one
 from bayesid.rounding import HALF, LEVEL
 
 #: Standard deviations over those of the fitted motions above this bring a warning.
@@ -126,11 +127,12 @@ def band(
     for first in range(0, len(away), step):
         part = slice(first, first + step)
         deviation = np.einsum("ctk,dk->dtc", rows, away[part], optimize=True)
+        if region.draws is not None:  # each is as far from the others as a further one; errors of the model are no draws
+            own_largest = np.abs(deviation).max(axis=(1, 2))
+            deviation *= (left_out(own_largest, len(region.draws)) / or_one(own_largest, 0.0))[:, None, None]
         if left is not None and not left.complete:
             deviation += error[pick] / size * left.pieces(len(deviation), clock, rng)
         largest[part] = np.abs(deviation).max(axis=(1, 2))
-    if region.draws is not None:
-        largest = left_out(largest, len(region.draws))
     return Band(
         model.channels.names, model.channels.units, np.arange(len(q), dtype=float) if times is None else np.asarray(times, float),
         constant + matrix @ region.values, std, error, quantile(largest, LEVEL),

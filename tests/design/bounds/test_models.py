@@ -9,6 +9,7 @@ import pytest
 from bayesid.design.bounds.bands import band
 from bayesid.design.bounds.model import Drive, ReadingModel
 from bayesid.design.bounds.region import region_of_draws
+from bayesid.design.bounds.remainder import Remainder
 from bayesid.design.bounds.robust import ellipsoid_term, norm_term, tracking_bound
 from bayesid.design.bounds.workspace import Terms, mass_eigenvalues, sobol_configurations, workspace_bounds
 from bayesid.dynamics.base_parameters import structural_base
@@ -148,6 +149,16 @@ def test_a_whole_trajectory_is_within_the_band_as_often_as_it_says(robot):
     assert abs(whole - 0.95) < 4 * np.sqrt(0.05 * 0.95 * (1 / 200 + 1 / 400))
     assert found.factor > 1.96 and found.pointwise_high.max() < found.high.max()
     np.testing.assert_allclose(found.extrapolation, found.std.max(axis=0))
+
+
+def test_errors_of_the_model_are_no_draws_of_its_parameters(robot):
+    """Among 200 draws none is 15 standard deviations from the others: an error that was made a band of thousands."""
+    model, _ = model_of(robot, 200, 0.1)
+    t, one = np.linspace(0, 2, 60), np.ones((6, 1))
+    paths = ((np.full((60, 6), 15.0), t),)
+    left = Remainder(model.channels.names, ("m",), True, one[:, 0], one, one, one[:, 0], one, 5.0 * one, paths)
+    q = np.sin(t[:, None] + np.arange(6))
+    assert 15.0 < band(model, q, q, q, t, left=left).factor < 18.0
 
 
 @pytest.mark.parametrize("width", [1e-9, 0.3])
