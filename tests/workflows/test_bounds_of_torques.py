@@ -217,6 +217,20 @@ def test_a_joint_that_mostly_rests_has_a_band_there(robot):
     assert np.all(bounds.trajectories[0].torque.std.min(axis=0) > 0.35 * lacking)
 
 
+def test_noise_is_no_error_of_the_model_where_it_has_none(robot):
+    """95 % of what is left is within 1.96 standard deviations, noise included: at speeds without an error it was not."""
+    motions = []
+    for k, role in enumerate(("identification", "validation")):
+        motion = fourier(robot, k, 20.0)
+        table = recording(robot, None, motion, seed=k, torque_std=0.5)
+        missing = 0.5 * gear(motion[1]) * (np.abs(motion[2]) > 0.9)
+        motions.append(Motion(f"m{k}", role, replace(table, torques=table.torques + drives(*motion[2:]) + missing)))
+    bounds = bayesid.bounds(bayesid.identify(experiment(robot, motions, inertia_rel_std=0.1, effects=DRIVES)), configurations=8)
+    assert not bounds.remainder.complete
+    left = np.abs(np.concatenate([path for path, _ in bounds.remainder.paths]))
+    assert np.all(np.quantile(left, 0.95, axis=0) < 2.5)
+
+
 def test_more_data_do_not_make_bounds_useless(robot, lacking):
     """Half bands of a fit with a validation motion are about those of the fit without one."""
     alone = bayesid.bounds(bayesid.identify(arm(robot, 1.0, roles=("identification",))), configurations=16)

@@ -50,7 +50,7 @@ class Remainder:
     middles: np.ndarray  # median speed in each class (c, k)
     #: r by class: what the model lacks, as a standard deviation beside that of the parameters (c, k); zero where nothing does.
     model_error: np.ndarray
-    #: What is left of each segment in units of ``sqrt(A V A' + r^2)`` (N, c), and its times (N,) [s].
+    #: What is left of each segment in units of ``sqrt(A V A' + r^2 + n^2)`` (N, c), and its times (N,) [s].
     paths: tuple[tuple[np.ndarray, np.ndarray], ...]
 
     @property
@@ -132,7 +132,8 @@ def remainder(problem: Problem, model: ReadingModel, floor: NoiseFloor | None = 
         model.channels.names, tuple(m.name for m in judges or fitted), bool(judges),
         np.quantile(np.abs(e[:count]), SHARE, axis=0), edges.T, bounds, rms[0] / np.maximum(rms[1], 1e-300), middles, error, (),
     )  # fmt: skip
-    paths = [(left / np.maximum(np.sqrt(s + found.at(w) ** 2), 1e-300), t) for t, left, w, _, s in parts]
+    # Noise is in what is left: where neither parameters nor the model err, as at rest, it must not be taken for their error.
+    paths = [(left / np.maximum(np.sqrt(s + found.at(w) ** 2 + noise), 1e-300), t) for t, left, w, _, s in parts]
     return replace(found, paths=tuple(paths))
 
 
