@@ -7,8 +7,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
-import numpy as np
-
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
@@ -83,6 +81,8 @@ def names(given: str | Iterable[str] | None) -> tuple[str, ...] | None:
 
 def unmasked(given: Any) -> Any:
     """What was given for numbers: an array of numpy's with a mask holds nan there, which `numpy.asarray` would uncover."""
+    import numpy as np  # the command line, which names its options here, starts without it
+
     masked = isinstance(given, np.ma.MaskedArray) and given.dtype.kind in "biuf"
     return np.ma.filled(given.astype(float), np.nan) if masked else given
 
