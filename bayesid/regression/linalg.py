@@ -7,6 +7,8 @@ import numpy as np
 #: Singular values of columns at unit length that count as none, relative to the largest: the root of the machine's precision, for
 #: covariances are products of the factor with itself, in which nothing but rounding is left below it.
 UNSEEN = 1e-8
+#: Share of a direction that the rows do not show above which a column has a part in it.
+PART = 1e-6
 #: What a row may take of a change that the data do not show, as a share of what it takes of the change's parts, and of its own
 #: length. A URDF's right angles are rounded to 4e-6, and columns that are alike but for those are.
 SHARE_OF_CHANGE, SHARE_OF_ROW = 1e-4, 1e-9
@@ -44,7 +46,8 @@ def pseudo_inverse(matrix: np.ndarray, tolerance: float = 1e-11) -> np.ndarray:
     kept = s > tolerance * s[0]
     inverse = (vt[kept].T / s[kept]) @ u[:, kept].T / length[:, None]
     if kept.sum() < len(length):
-        silent = np.linalg.qr(vt[kept].T, mode="complete")[0][:, kept.sum() :] / length[:, None]
+        silent = np.linalg.qr(vt[kept].T, mode="complete")[0][:, kept.sum() :]
+        silent = np.where((np.abs(silent) > PART).any(axis=1)[:, None], silent, 0.0) / length[:, None]
         silent = np.linalg.qr(silent / np.linalg.norm(silent, axis=0))[0]
         inverse -= silent @ (silent.T @ inverse)
     return inverse
@@ -81,7 +84,7 @@ def undetermined(matrix: np.ndarray, tolerance: float = UNSEEN) -> np.ndarray:
         return nothing
     _, s, vt = np.linalg.svd(matrix[:, ~nothing] / length[~nothing])
     out = nothing.copy()
-    out[~nothing] = (np.abs(vt[np.count_nonzero(s > tolerance * s[0]) :]) > 1e-6).any(axis=0)  # fewer rows than columns, too
+    out[~nothing] = (np.abs(vt[np.count_nonzero(s > tolerance * s[0]) :]) > PART).any(axis=0)  # fewer rows than columns, too
     return out
 
 
