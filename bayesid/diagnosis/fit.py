@@ -388,13 +388,13 @@ def distance(best: Fit, index: int) -> tuple[float, int]:
     term, settings = best.terms[index], best.projector.data.settings
     effect, shape = term.effect, set(term.effect.shape)
     linear = set(effect.parameters) - shape
-    own = [(column, k) for column, (owner, k) in enumerate(best.free) if owner == index]
-    at, free = [column for column, _ in own], [k for _, k in own]
+    own = np.array([(column, k) for column, (owner, k) in enumerate(best.free) if owner == index], int).reshape(-1, 2)
+    at, free = own.T
     sizes, determined = np.array([effect.parameters[k] in (linear or shape) for k in free], bool), best.determined[at]
     if shape and not determined[sizes].all():
         if linear or not determined.any():
             return 0.0, int(sizes.sum())  # another shape would do with any size
-        at, free, sizes = (np.array(x)[determined] for x in (at, free, sizes))
+        at, free, sizes = at[determined], free[determined], sizes[determined]
     values, covariance = np.array(term.values)[free], best.covariance[np.ix_(at, at)]
     half = norm.ppf(0.5 + 0.5 * settings.interval) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     low, high = (np.array(end)[free] for end in (effect.lower, effect.upper))

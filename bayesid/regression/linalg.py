@@ -43,10 +43,10 @@ def pseudo_inverse(matrix: np.ndarray, tolerance: float = 1e-11) -> np.ndarray:
         return np.zeros(matrix.shape[::-1])
     length = column_lengths(matrix)
     u, s, vt = np.linalg.svd(matrix / length, full_matrices=False)
-    kept = s > tolerance * s[0]
-    inverse = (vt[kept].T / s[kept]) @ u[:, kept].T / length[:, None]
-    if kept.sum() < len(length):
-        silent = np.linalg.qr(vt[kept].T, mode="complete")[0][:, kept.sum() :]
+    rank = int(np.count_nonzero(s > tolerance * s[0]))  # singular values come in descending order
+    inverse = (vt[:rank].T / s[:rank]) @ u[:, :rank].T / length[:, None]
+    if rank < len(length):
+        silent = np.linalg.qr(vt[:rank].T, mode="complete")[0][:, rank:]
         silent = np.where((np.abs(silent) > PART).any(axis=1)[:, None], silent, 0.0) / length[:, None]
         silent = np.linalg.qr(silent / np.linalg.norm(silent, axis=0))[0]
         inverse -= silent @ (silent.T @ inverse)
