@@ -47,7 +47,7 @@ def pseudo_inverse(matrix: np.ndarray, tolerance: float = 1e-11) -> np.ndarray:
     inverse = (vt[:rank].T / s[:rank]) @ u[:, :rank].T / length[:, None]
     if rank < len(length):
         silent = np.linalg.qr(vt[:rank].T, mode="complete")[0][:, rank:]
-        silent = np.where((np.abs(silent) > PART).any(axis=1)[:, None], silent, 0.0) / length[:, None]
+        silent = np.where(np.abs(silent).max(axis=1, keepdims=True) > PART, silent, 0.0) / length[:, None]
         silent = np.linalg.qr(silent / np.linalg.norm(silent, axis=0))[0]
         inverse -= silent @ (silent.T @ inverse)
     return inverse
