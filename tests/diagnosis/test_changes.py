@@ -233,6 +233,7 @@ def test_a_turned_sensor_is_named(tmp_path):
     assert bayesid.diagnose(bayesid.simulate(arm, path, seed=5), reference=before).verdict == "nothing_missing"
 
 
+@pytest.mark.slow
 def test_intervals_hold_a_tool_far_from_its_joint(tmp_path):
     """Priors that weigh names know of no such inertia; values are those of possible bodies all the same."""
     robot, rng = puma2(tmp_path), np.random.default_rng(5)
@@ -294,7 +295,7 @@ def test_nothing_is_named_where_friction_wanders_by_a_twentieth(arm):
 def test_rows_with_proposals_are_the_models_with_columns_beside(tmp_path):
     """Also of a mount that gives, whose drive is smoothed to what encoders show."""
     robot, mount = puma2(tmp_path), {"resonance": 8.0, "damping": 0.05}
-    table = recording(robot, Sensor(), fourier(robot, 1, 8.0), seed=1, force_std=0.5, torque_std=0.05, resolution=1e-5)
+    table = recording(robot, Sensor(), fourier(robot, 1, 4.0), seed=1, force_std=0.5, torque_std=0.05, resolution=1e-5)
     values = {"base_compliance@base": mount}
     arm = experiment(robot, [Motion("m", "identification", table)], Sensor(), effects=("base_compliance",), effect_values=values)
     problem, _ = solve(prepare(arm))

@@ -213,6 +213,7 @@ def test_poses_to_record_next_reach_what_is_asked(wrist, tmp_path):
         bayesid.payload(few, target=(0.0, 1.0), diagnosis=False)
 
 
+@pytest.mark.slow
 def test_poses_to_record_next_bring_what_is_expected_on_average(wrist):
     """However quiet the few first ones happen to be: over many of them, half of the accuracies come out better and half worse."""
     wanted, logs = (0.0025, 0.0004), []
