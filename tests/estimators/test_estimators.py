@@ -138,6 +138,7 @@ def test_colour_is_found_where_no_filter_is_named():
     assert 0.91 <= np.mean(inside) <= 0.98
 
 
+@pytest.mark.slow
 def test_a_complete_model_is_seldom_called_incomplete():
     """Also where the noise is coloured and there are few rows, so that the weights are rough."""
     rng = np.random.default_rng(8)

@@ -53,6 +53,7 @@ def test_it_is_the_sum_written_out(regression):
     assert np.diag(spectrum.covariance[0]).max() > 1.3
 
 
+@pytest.mark.slow
 def test_intervals_hold_what_repeats_scatter_by():
     """Two hundred recordings; the plain formula of efficient fits would be too short."""
     matrix, rng = motion(), np.random.default_rng(2)
@@ -72,7 +73,7 @@ def test_intervals_hold_what_repeats_scatter_by():
     assert np.sqrt(np.mean((scatter / np.mean(plain, axis=0)) ** 2)) > 1.25
 
 
-@pytest.mark.parametrize("count", [5, 41])
+@pytest.mark.parametrize("count", [5, pytest.param(41, marks=pytest.mark.slow)])
 def test_a_variance_from_few_makes_intervals_that_hold(count):
     """A value of unknown variance, which others of the same tell: 95 % of intervals 1.96 deviations wide hold zero."""
     draws = np.random.default_rng(3).normal(size=(20000, count + 1))

@@ -85,6 +85,7 @@ def test_without_a_motion_to_judge_by_there_is_none(robot):
     assert result.validation == () and "flexible" not in bayesid.summary(result)
 
 
+@pytest.mark.slow
 def test_as_many_rows_of_a_long_recording_as_of_a_short_one(robot, monkeypatch):
     seen = []
     monkeypatch.setattr(flexible, "_gap", lambda rows, *rest, gap=flexible._gap: seen.append(rows) or gap(rows, *rest))
