@@ -267,16 +267,15 @@ def _require_finite(name: str, array: np.ndarray) -> None:
 
 
 def _require_order(times: np.ndarray, motions: np.ndarray) -> None:
-    """Refuse times that go back within a recording: of samples out of order no correlation in time can be estimated."""
-    for motion in range(motions.max() + 1):
-        rows = np.flatnonzero(motions == motion)
-        back = np.flatnonzero(np.diff(times[rows]) < 0.0)
-        if len(back):
-            before, here = rows[back[0]], rows[back[0] + 1]
-            raise InputError(
-                f"times[{here}] = {times[here]:g} comes after {times[before]:g} in the same recording; sort each recording by "
-                "time, and say with motions which recording each sample is from"
-            )
+    """Refuse times (N,) that go back within a recording, told by ``motions`` (N,): out of order, samples show no correlation."""
+    order = np.argsort(motions, kind="stable")
+    back = np.flatnonzero((np.diff(times[order]) < 0.0) & (np.diff(motions[order]) == 0))
+    if len(back):
+        before, here = order[back[0]], order[back[0] + 1]
+        raise InputError(
+            f"times[{here}] = {times[here]:g} comes after {times[before]:g} in the same recording; sort each recording by "
+            "time, and say with motions which recording each sample is from"
+        )
 
 
 def _names_of(given: Sequence[str] | None, count: int, letter: str, argument: str) -> tuple[str, ...]:
