@@ -141,9 +141,10 @@ def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> li
             f"would fit {', '.join(by_kind(search.dropped))}, but is no more than these models may be inexact by: not named."
         )
     if search.vague:
+        counted = ", and the values and intervals of what is named are those beside it" if found else ""
         out.append(
             f"{', '.join(by_kind(search.vague))} would fit what is left, but the motions do not show how large it would be, nor "
-            "that it is not zero: not named. Something may still be missing."
+            f"that it is not zero: not named. Something may still be missing{counted}."
         )
     parts = {t.effect.name for t in data.terms}
     if idle := [spec for spec in data.experiment.effects if spec.split("@")[0] not in parts]:

@@ -134,7 +134,8 @@ def certain(s: Search, seed: int) -> Search:
     """What was found without effects that do not differ from zero: those are not named, whatever the fit gains by them.
 
     A rival that does differ from zero takes the place of such a one: play that only has to be large enough to look like a spring
-    is a flexible joint. ``seed`` is that of the encoders' repeated rounding.
+    is a flexible joint. Values of those that stay are the ones that fit beside it, and their standard deviations count that it
+    may be there. ``seed`` is that of the encoders' repeated rounding.
     """
     known = len(s.base.terms)
     vague = [k for k in range(known, len(s.best.terms)) if not differs_from_zero(s.best, k, s.dispersion)]
@@ -153,8 +154,18 @@ def certain(s: Search, seed: int) -> Search:
             return certain(_of_model(s, best, found, seed), seed)
     terms = tuple(t for k, t in enumerate(s.best.terms) if k != least)
     rest = [f for k, f in enumerate(s.found, known) if k != least]
-    s = replace(s, vague=(*s.vague, s.best.terms[least]))
-    return certain(_of_model(s, fit(s.best.projector, terms, s.best) if rest else s.base, rest, seed), seed)
+    fewer = replace(s, vague=(*s.vague, s.best.terms[least]))
+    out = certain(_of_model(fewer, fit(s.best.projector, terms, s.best) if rest else s.base, rest, seed), seed)
+    beside = {t.effect: k for k, t in enumerate(s.best.terms) if k >= known and k not in vague}
+    each = zip(out.found, out.best.terms[known:], strict=True)
+    return replace(out, found=tuple(_valued(f, s, beside.get(t.effect)) for f, t in each))
+
+
+def _valued(found: Found, s: Search, index: int | None) -> Found:
+    """An effect with its values in the best model, in which it has an index if it is there."""
+    if index is None:
+        return found
+    return replace(found, term=canonical(as_payload(s.best, index, s.dispersion)[0]), std=s.best.std(index, s.dispersion))
 
 
 def _of_model(s: Search, best: Fit, found: Sequence[Found], seed: int) -> Search:
@@ -165,11 +176,8 @@ def _of_model(s: Search, best: Fit, found: Sequence[Found], seed: int) -> Search
         base, best = fit(projector, s.base.terms, s.base), fit(projector, best.terms, best)
         library = make_library(projector, base)
         s = replace(s, projector=projector, base=base, library=library, dispersion=library.dispersion(best))
-    own = tuple(
-        replace(f, term=canonical(as_payload(best, k, s.dispersion)[0]), std=best.std(k, s.dispersion))
-        for k, f in enumerate(found, known)
-    )
-    return replace(s, best=best, found=own)
+    s = replace(s, best=best)
+    return replace(s, found=tuple(_valued(f, s, k) for k, f in enumerate(found, known)))
 
 
 __all__ = ["Found", "Pruned", "Search", "certain", "holds_below", "leaves_noise", "refit", "search", "search_from"]

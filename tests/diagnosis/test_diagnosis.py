@@ -294,6 +294,20 @@ def test_a_rival_that_differs_from_zero_takes_the_place_of_an_effect_that_does_n
     assert sure.found[0].gain == pytest.approx(tilt.gain - 1.2)
 
 
+def test_what_is_named_is_valued_beside_what_stays_unnamed(tilted):
+    """An effect of unknown size may be there: left out of the fit it would bias the others, and their intervals not count it."""
+    found = tilted[0].search
+    (tilt,), data = found.found, found.best.projector.data
+    gain = Term(next(e for e in data.places("sensor_gain") if e.where == "fz"), (0.0,))
+    both = fit.fit(found.best.projector, (*found.best.terms, gain), found.best)
+    wide = np.diag([2.0, 2.0, 1e6]) @ both.covariance @ np.diag([2.0, 2.0, 1e6])
+    given = (tilt, replace(tilt, term=both.terms[1], rivals=()))
+    sure = certain(replace(found, best=replace(both, covariance=wide), found=given), 0)
+    assert [t.effect for t in sure.vague] == [gain.effect] and len(sure.best.terms) == 1
+    assert sure.found[0].term.values == both.terms[0].values != sure.best.terms[0].values
+    np.testing.assert_allclose(sure.found[0].std, 2.0 * both.std(0, found.dispersion))
+
+
 @pytest.mark.parametrize(
     ("case", "verdict", "effects"),
     [
