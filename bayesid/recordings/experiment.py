@@ -415,6 +415,8 @@ def load_experiment(folder: str | Path, library: EffectLibrary | None = None, *,
     if not isinstance(library, EffectLibrary | None):
         raise InputError(f"library: is a {type(library).__name__}; give bayesid.load_effects(...)")
     setup, file = _read_setup(Path(folder), library)
+    if not file.motion:
+        raise InputError("experiment.toml: motion: is missing; write a [[motion]] with name and table for each recording")
     motions, warnings = [], list(setup.warnings)
     stated = column_map(file.columns, file.units, {}, "experiment.toml")
     stated.check_joints(setup.robot.joint_names)

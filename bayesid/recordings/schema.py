@@ -137,7 +137,7 @@ class ExperimentFile(Section):
     columns: Columns = {}
     units: UnitSection = UnitSection()
     model: ModelSection = ModelSection()
-    motion: Annotated[list[MotionSection], Field(min_length=1)]
+    motion: list[MotionSection] = []  # a setup for which motions are planned has none yet
 
 
 class ModelFile(Section):
@@ -203,7 +203,7 @@ def check_keys(file: ExperimentFile) -> list[str]:
         if motion.kind == "poses" and (motion.period is not None or motion.parked):
             key = "parked" if motion.period is None else "period"
             raise InputError(f'experiment.toml: [motion.{index}] {key}: kind = "poses" has no times; remove it')
-    if not any(motion.role == "identification" for motion in file.motion):
+    if file.motion and not any(motion.role == "identification" for motion in file.motion):
         raise InputError(
             'experiment.toml: [motion.0] role: no motion has role "identification"; '
             'write role = "identification" for the motions to fit'

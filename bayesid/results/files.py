@@ -188,7 +188,23 @@ def read_document(path: Path) -> dict[str, Any]:
         raise InputError(f"{named}: cannot be read as JSON ({error}); name a file that bayesid wrote") from None
     if not (isinstance(document, dict) and {"schema", "experiment"} <= document.keys()):
         raise InputError(f"{named}: is no document of bayesid; name the estimate.json of a run of identify")
+    check_schema(document, named)
     return document
+
+
+def check_schema(document: Mapping[str, Any], named: str) -> None:
+    """Refuse a document of another schema, whose keys may mean something else.
+
+    Raises
+    ------
+    InputError
+        Which it is of.
+    """
+    if document["schema"] != SCHEMA:
+        raise InputError(
+            f"{named}: is of schema {document['schema']}, this bayesid knows {SCHEMA}; read it with the bayesid that wrote it, "
+            "or run the verb again"
+        )
 
 
 def amend(path: Path, added: Mapping[str, Any], report: Callable[[str], str]) -> bool:

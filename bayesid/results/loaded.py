@@ -24,7 +24,7 @@ from bayesid.posterior.convert import as_dataset, load_arviz
 from bayesid.posterior.result import moments, predicted_rows
 from bayesid.results.comparison import Entry, HasEntries
 from bayesid.results.estimated import HasEstimate
-from bayesid.results.files import BESIDE, WRITTEN
+from bayesid.results.files import BESIDE, WRITTEN, check_schema
 from bayesid.results.frames import frame
 from bayesid.robot.prior import Prior, with_sizes
 from bayesid.robot.urdf import JointDynamics
@@ -411,6 +411,7 @@ def load(path: str | Path) -> Loaded:
     kind = document.get("result") if isinstance(document, dict) else None
     if kind is None or not {"schema", "experiment"} <= document.keys():
         raise InputError(f"{file}: is no document of bayesid; name one of {', '.join(DOCUMENTS)} as a verb wrote it")
+    check_schema(document, str(file))
     printed = "\n".join(document.get("printed", ()))
     return _CLASSES.get(kind, Loaded)(kind, {k: v for k, v in document.items() if k not in BESIDE}, printed, file)
 

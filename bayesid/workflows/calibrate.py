@@ -26,6 +26,8 @@ from bayesid.workflows.warnings import contradictions, impossible_signs, of_reco
 
 #: A mass that people have, and would hang on [kg].
 _USUAL = 1.0
+#: Gains are a few per cent; by a factor like this numbers are off that are of another unit.
+_ANOTHER_UNIT = 2.0
 
 
 @shows_progress
@@ -193,6 +195,8 @@ def _sentences(known: BodyKnowledge | None, gain: Quantity | None, mass: float |
     if gain is not None:
         what = "what was hung on" if hung_on else "all that it carries"
         verdict = "differs from none" if gain.low * gain.high > 0.0 else "may be none"
+        if not 1.0 / _ANOTHER_UNIT < 1.0 + gain.value < _ANOTHER_UNIT:
+            verdict += f". No sensor has such a gain: {argument('mass')} is in kilograms, forces are in newtons"
         return [
             f"Against {number(mass)} kg of {what} the forces read {percent(gain.value, 2)} too much (± "
             f"{percent(gain.high - gain.value, 2)}): the common gain {verdict}."

@@ -17,7 +17,7 @@ from hypothesis.extra.numpy import arrays
 
 from bayesid.errors import InputError
 from bayesid.recordings import table_reader
-from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment
+from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment, load_setup
 from bayesid.recordings.schema import read_model, write_model
 from bayesid.recordings.table import Table, write_table
 from bayesid.recordings.table_reader import read_table
@@ -38,6 +38,17 @@ def table_arrays(table: Table) -> dict[str, np.ndarray]:
 
 
 # Reading.
+
+
+def test_a_setup_needs_no_motion_yet(folder: Path) -> None:
+    """The first motion is planned before anything is recorded; what needs recordings says so."""
+    whole = load_setup(folder)
+    text = (folder / "experiment.toml").read_text(encoding="utf-8")
+    (folder / "experiment.toml").write_text(text.partition("[[motion]]")[0], encoding="utf-8")
+    bare = load_setup(folder)
+    assert not bare.motions and bare.robot.joint_names == whole.robot.joint_names
+    with pytest.raises(InputError, match=r"experiment.toml: motion: is missing; write a \[\[motion\]\] with name and table"):
+        load_experiment(folder)
 
 
 @pytest.mark.parametrize(

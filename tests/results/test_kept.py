@@ -1,6 +1,7 @@
 """Results are kept: pickled, copied, sent to another process, written and loaded again."""
 
 import copy
+import json
 import pickle
 import shutil
 import subprocess
@@ -273,6 +274,8 @@ def test_what_is_no_result_is_refused(loaded, arm, tmp_path):
         shutil.copy(loaded[kind].path, both)
     (tmp_path / "other.json").write_text("{}")
     (tmp_path / "broken.json").write_text("{")
+    estimate = json.loads(loaded["identification"].path.read_text(encoding="utf-8"))
+    (tmp_path / "later.json").write_text(json.dumps({**estimate, "schema": 2}))
     for path, said in (
         (folder, "is an experiment, no result; give the folder that a verb wrote"),
         (tmp_path / "nowhere.json", "No such file"),
@@ -280,6 +283,7 @@ def test_what_is_no_result_is_refused(loaded, arm, tmp_path):
         (both, "holds comparison.json and estimate.json; name one of them"),
         (tmp_path / "other.json", "is no document of bayesid"),
         (tmp_path / "broken.json", "cannot be read as JSON"),
+        (tmp_path / "later.json", "later.json: is of schema 2, this bayesid knows 1; read it with the bayesid that wrote it"),
         (folder / "robot.urdf", "name the folder, or its JSON or NetCDF file"),
     ):
         with pytest.raises(bayesid.InputError, match=said):

@@ -81,10 +81,12 @@ def test_a_known_mass_tells_a_common_gain(wrist):
     links[6] += np.concatenate([[1.5], 1.5 * np.array([0.0, 0.0, 0.12]), 1.5 * np.array([0.0144, 0.0, 0.0144, 0.0, 0.0, 0.0])])
     alone, heavy = recorded(wrist, gains), recorded(wrist, gains, seed=3, links=links)
     assert bayesid.calibrate(heavy).common_gain is None  # and no axis is named for what all share
-    told = bayesid.calibrate(heavy, reference=alone, mass=1.5).common_gain
-    assert told.low < 0.02 < told.high and told.low > 0.0
+    told = bayesid.calibrate(heavy, reference=alone, mass=1.5)
+    assert told.common_gain.low < 0.02 < told.common_gain.high and told.common_gain.low > 0.0
     with pytest.raises(bayesid.InputError, match="carries 1.53 kg more there .*with the known mass first"):
         bayesid.calibrate(alone, reference=heavy, mass=1.5)
+    grams = bayesid.calibrate(heavy, reference=alone, mass=1500.0)
+    assert "No sensor has such a gain: mass is in kilograms" in grams.sentences[0] and "No sensor" not in told.sentences[0]
     whole = bayesid.calibrate(alone, mass=float(wrist.robot.nominal[6, 0]), mass_std=0.002)
     assert abs(whole.common_gain.value - 0.02) < 4.0 * whole.common_gain.std and "differs from none" in str(whole)
     doubted = bayesid.calibrate(alone, mass=float(wrist.robot.nominal[6, 0]), mass_std=0.1).common_gain
