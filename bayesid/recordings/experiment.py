@@ -273,7 +273,7 @@ class Experiment(Plots):
             check_loaded(robot, joints, None if gravity is _GRAVITY else gravity)
         else:
             robot = load_robot(urdf, joints, locked, gravity, None if sensor is None else sensor.joint)
-            warnings += robot_doubts(robot, locked, "")
+            warnings += robot_doubts(robot, locked, "", inertia_rel_std)
         own, values = with_stated_effects(robot, None if effects is None else listed_effects(effects))
         recording = dict(t=t, q=q, torques=torques, wrench=wrench, velocities=velocities, commanded=commanded)
         held_out: list[Any] = (

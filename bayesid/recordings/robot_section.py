@@ -13,7 +13,7 @@ from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.examination import LIMIT_SLACK
 from bayesid.recordings.schema import EffectParameters, RobotSection
-from bayesid.robot.prior import drawn_without_inertial, states_masses
+from bayesid.robot.prior import drawn_without_inertial, gyration_radius, point_like, states_masses
 from bayesid.robot.robot import Robot, load_robot
 from bayesid.robot.sources import NAMED, locate
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
@@ -54,7 +54,7 @@ def read_robot(folder: Path, section: RobotSection, sensor_joint: str | None) ->
                 f'"{name}" is not one of joints', file="experiment.toml", key="[robot] gear_ratio", value=name,
                 remedy=suggest(name, section.joints),
             )  # fmt: skip
-    return robot, robot_doubts(robot, section.locked, "experiment.toml: [robot] ")
+    return robot, robot_doubts(robot, section.locked, "experiment.toml: [robot] ", section.inertia_rel_std)
 
 
 def with_stated_effects(
@@ -100,10 +100,14 @@ def check_knowledge(sizes: Mapping[str, float | None], gear_ratio: Mapping[str, 
             raise InputError(f"{name} = {ratio} is out of range", key="gear_ratio", value=ratio, remedy="give a number above 0")
 
 
-def robot_doubts(robot: Robot, locked: Mapping[str, float], stated: str) -> list[str]:
-    """What is doubtful about a robot and its URDF, one line each; ``stated`` is where joints and their positions are."""
+def robot_doubts(robot: Robot, locked: Mapping[str, float], stated: str, rel_std: float | None = None) -> list[str]:
+    """What is doubtful about a robot and its URDF, one line each; ``stated`` is where joints and their positions are.
+
+    ``rel_std`` is the relative standard deviation of the nominal inertias, where that is known.
+    """
     urdf = robot.description
-    return [*urdf.warnings, *_missing(robot, urdf), *_doubts(robot, urdf, locked, stated), *_weights(robot)]
+    points = _points(robot, urdf, rel_std) if rel_std else []
+    return [*urdf.warnings, *_missing(robot, urdf), *points, *_doubts(robot, urdf, locked, stated), *_weights(robot)]
 
 
 def _missing(robot: Robot, urdf: UrdfFile) -> list[str]:
@@ -117,6 +121,21 @@ def _missing(robot: Robot, urdf: UrdfFile) -> list[str]:
     return [
         f"{robot.urdf.name}: {one}: no <inertial>, so the nominal robot lacks the mass of {them}, which diagnose looks for "
         "and all other priors leave to the data; write the <inertial>"
+    ]
+
+
+def _points(robot: Robot, urdf: UrdfFile, rel_std: float) -> list[str]:
+    """Links that are point masses in the URDF: a share of their own size is next to nothing."""
+    found = np.flatnonzero(point_like(robot)).tolist()
+    if not found:
+        return []
+    names = [urdf.joints[robot.joint_names[j]].child for j in found]
+    size = 1e3 * max(gyration_radius(robot.nominal[j]) for j in found)
+    one = f"link {names[0]} has its" if len(found) == 1 else f"links {listed(names)} have their"
+    return [
+        f"{robot.urdf.name}: {one} mass within {size:.2g} mm of one point, little for a link that long: inertia_rel_std = "
+        f"{rel_std:g} trusts that point to {rel_std * size:.2g} mm, and what the URDF has wrong there passes for a payload; "
+        "correct the inertia, or leave out inertia_rel_std"
     ]
 
 

@@ -16,6 +16,8 @@ _SLENDERNESS, _DENSITY = 4.0, 1000.0
 _RADIUS = 0.05
 #: Length from which a link without a mass is no mere frame, as those between the joints of a wrist are [m].
 _LENGTH = 0.01
+#: A body that lies this much closer about its centre of mass than a link of its length does is a point mass in its URDF alone.
+_POINT_LIKE = 0.25
 #: Relative standard deviation of a body that is guessed, of the mean of its robot's bodies.
 GUESS_STD = 10.0
 
@@ -161,9 +163,7 @@ class Prior:
 def _warps(body: np.ndarray, size: float) -> np.ndarray:
     """Covariance of a body's ten parameters with scale, shift and warp of this size (10, 10)."""
     pseudo, mass = inertia.pseudo_inertia(body), max(body[0], 1e-6)
-    centre = body[1:4] / mass
-    second = pseudo[:3, :3] / mass - np.outer(centre, centre)
-    radius = np.sqrt(max(np.trace(second), 1e-8))
+    centre, radius = body[1:4] / mass, max(gyration_radius(body), 1e-4)
     maps = [radius * np.outer(np.eye(4)[k], np.eye(4)[3]) for k in range(3)]
     for i in range(3):
         for j in range(3):
@@ -177,6 +177,24 @@ def _warps(body: np.ndarray, size: float) -> np.ndarray:
         square[i, j] = square[j, i] = mass * radius**2 * min(size, 1.0)  # beyond its own size, a second order means nothing
         changes.append(inertia.from_pseudo_inertia(square))
     return size**2 * np.einsum("gi,gj->ij", changes, changes)
+
+
+def gyration_radius(body: np.ndarray) -> float:
+    """Root mean square distance of a body's mass (10,) from its centre of mass [m]."""
+    mass = max(body[0], 1e-6)
+    return float(np.sqrt(max(np.trace(inertia.pseudo_inertia(body)[:3, :3]) / mass - np.sum((body[1:4] / mass) ** 2), 0.0)))
+
+
+def point_like(robot: Robot) -> np.ndarray:
+    """Which joints' links have their mass next to one point in the URDF, and a length (n,): their inertias are placeholders."""
+    usual = typical_links(robot)
+    length = np.zeros(robot.n)
+    np.maximum.at(length, robot.rod_joint, np.linalg.norm(robot.rods[:, 1] - robot.rods[:, 0], axis=1))
+    return np.array([
+        length[j] > _LENGTH and robot.nominal[j, 0] > 0.0
+        and gyration_radius(robot.nominal[j]) < _POINT_LIKE * gyration_radius(usual[j])
+        for j in range(robot.n)
+    ], bool)  # fmt: skip
 
 
 def states_masses(robot: Robot) -> bool:
