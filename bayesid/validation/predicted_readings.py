@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import null_space
 
+from bayesid.dynamics.regressors import Kernel
 from bayesid.effects import MotionSegment, Point, linearised
 from bayesid.errors import InputError
 from bayesid.estimators.parameters import central_interval
@@ -25,8 +27,9 @@ class PredictedReadings:
     channel_units: tuple[str, ...]
     values: np.ndarray  # predicted readings (N, c), effects such as friction included
     #: Their standard deviations (N, c), from the covariance of all parameters; the noise of a single reading is not in them.
-    #: nan where the estimate has no honest covariance, or where the reading takes something that the data say nothing of. A sum
-    #: that they know, such as of a link's inertia and its rotor's, is known, whatever is open of its parts.
+    #: nan where the estimate has no honest covariance, or where the reading takes something that the data say nothing of, as a
+    #: motion takes inertias that fitted poses at rest do not show. A sum that they know, such as of a link's inertia and its
+    #: rotor's, is known, whatever is open of its parts.
     std: np.ndarray
     #: Whether they hold gravity; False where a static run was subtracted from what was fitted: then the estimate knows the
     #: motion's part of the wrench only.
@@ -91,6 +94,8 @@ def predict_readings(
     if covariance is not None:
         std = np.sqrt(np.maximum(np.einsum("ncp,pq,ncq->nc", matrix, covariance, matrix, optimize=True), 0.0))
         std[takes(matrix, unshown(covariance, undetermined))] = np.nan
+        if problem.at_rest:  # the model of poses has no parameters for what a motion takes beyond gravity
+            std[_beyond_poses(row_model, states)] = np.nan
     channels = row_model.channels
     return PredictedReadings(channels.names, channels.units, values, std, gravity)
 
@@ -112,6 +117,16 @@ def _columns(row_model: RowModel, times: np.ndarray, states: list[np.ndarray], g
     matrix[:, :, :rank] = row_model.kernel.dynamics(*states, gravity=gravity)
     matrix[:, :, rank:] = row_model.effect_columns(segment, state)
     return matrix, nothing + channels.static_wrench if gravity else nothing
+
+
+def _beyond_poses(row_model: RowModel, states: list[np.ndarray]) -> np.ndarray:
+    """Whether readings (N, c) take parameters, such as inertias, that the base parameters of poses at rest do not hold."""
+    base = row_model.base
+    rows, changes = Kernel.of(row_model.robot, row_model.channels).dynamics(*states), null_space(base.matrix)
+    if base.absorbed is not None:  # weight that is the same in every state is in the sensor's offset
+        constant = np.broadcast_to(np.eye(rows.shape[1], len(base.absorbed)), (*rows.shape[:2], len(base.absorbed)))
+        rows, changes = np.concatenate([rows, constant], axis=2), np.concatenate([changes, -base.absorbed @ changes])
+    return takes(rows, changes)
 
 
 def _require_timeless(problem: Problem, states: list[np.ndarray], gravity: bool) -> None:

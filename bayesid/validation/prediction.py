@@ -91,6 +91,7 @@ class Prediction:
     flexible: FlexibleGap | None = None
     fitted: bool = False  # whether the estimate was fitted to this motion
     biased: bool = False  # whether the estimate has no covariance, as it is biased by nobody knows how much
+    beyond: bool = False  # whether it moves, and the fitted poses at rest show gravity alone
 
     @property
     def noise_known(self) -> bool:
@@ -223,6 +224,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
         spectrum=spectrum,
         fitted=motion.name in problem.fitted,
         biased=estimate.full_covariance is None,
+        beyond=estimate.noise.keys() == {"poses"} and not all(r.poses for r in moving),
     )
 
 
@@ -384,6 +386,8 @@ def judged(prediction: Prediction) -> Judgement:
     worst = int(np.argmax(prediction.nrmse))
     share = float(prediction.nrmse[worst])
     wrong = f"; {prediction.channel_names[worst]} is wrong by {100 * share:.0f} % of its signal" if share > _NAMED else ""
+    if prediction.beyond and (prediction.noise_source == RESIDUALS or white > TOLERATED * prediction.expected_rms):
+        return Judgement("fair", "it moves, and poses at rest, which are all that is fitted, show nothing of inertias")
     if prediction.noise_source == RESIDUALS:
         # The only noise at hand is what the fit left over: it cannot tell model error from noise.
         mood = "fair" if error <= CLOSE else "bad"
@@ -432,7 +436,7 @@ def useless(predictions: Sequence[Prediction]) -> bool:
 def still_predictable(prediction: Prediction) -> str:
     """What a flexible model of the joints' motion would still remove of the error, a sentence; empty where nothing tells."""
     gap = prediction.flexible
-    if gap is None:
+    if gap is None or prediction.beyond:
         return ""
     if not gap.certain and gap.removed > WORTH:
         share = f"{number(100 * gap.removed, 2)} +- {number(100 * gap.std, 1)} % of this error"

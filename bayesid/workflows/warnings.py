@@ -142,7 +142,8 @@ def unpredicted(predictions: Sequence[Prediction]) -> list[str]:
             f"{len(off)} of {len(predictions)} motions that were not fitted are predicted with errors of {100 * best:.3g} to "
             f"{100 * worst.relative_error:.3g} % of the signal below {BAND:.2g} Hz. '{worst.motion}' has the largest: "
         )
-    return [f"{first}{judged(worst).text}. `{call('diagnose')}` looks for what is missing."]
+    remedy = "Fit a motion for them." if worst.beyond else f"`{call('diagnose')}` looks for what is missing."
+    return [f"{first}{judged(worst).text}. {remedy}"]
 
 
 def unusable(

@@ -13,6 +13,7 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
 import bayesid
+from bayesid.recordings.table import Table
 from bayesid.regression.problem import prepare
 from bayesid.robot.examples import PAPER_LOCKED
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -136,6 +137,25 @@ def test_effects_that_are_not_linear_are_predicted_as_the_model_reads(result):
     found = bent.predict(q + [0.0, 0.05], v, a).values  # what the encoders say of the motion q
     expected = inverse_dynamics(robot, q, v, a) + friction(v)
     assert np.abs(found - expected)[np.abs(v) > 0.05].max() < 0.5
+
+
+def test_poses_at_rest_predict_readings_at_rest_and_say_nothing_of_motions(result):
+    """Inertias have no part in poses: a motion's readings are not known to a hundredth by those, and nothing is wrong."""
+    known = result.problem.experiment
+    robot, rng = known.robot, np.random.default_rng(3)
+    q = rng.uniform(-1.5, 1.5, (40, 2))
+    still = np.zeros_like(q)
+    table = Table(
+        times=np.arange(40.0), positions=q, torques=inverse_dynamics(robot, q, still, still) + rng.normal(0, 0.02, q.shape)
+    )
+    poses = bayesid.identify(experiment(robot, [Motion("poses", "identification", table, kind="poses"), known["validation"]]))
+    at_rest = poses.predict(q, still, still)
+    assert np.isfinite(at_rest.std).all() and at_rest.std.max() < 0.1
+    assert np.isnan(poses.predict(q, rng.normal(size=q.shape), rng.normal(size=q.shape)).std).all()
+    (moving,) = poses.validation
+    assert moving.relative_error > 0.1 and not poses.unusable
+    (said,) = (w for w in poses.warnings if "'validation'" in w)
+    assert "poses at rest" in said and said.endswith("Fit a motion for them.")
 
 
 @pytest.mark.parametrize("q, message", [(np.zeros((3, 5)), r"give \(N, 2\)"), (np.full((3, 2), np.nan), "not finite in row 0")])
