@@ -154,6 +154,7 @@ _USUAL_STEP = 4e-3  # in the middle of those of robots' logs, 1 ms to 20 ms [s]
 _MARK = 100.0  # usual ranges of a channel, which no reading goes and comes back within a sample
 _END = 0.05  # of a joint's range, within which its end stop is
 _WINDOW = 5  # samples before and after a place over which a speed is taken
+_SLOW = 0.2  # share of a joint's usual top speed above which it moves for certain
 
 
 def check_trajectory(table: Table, robot: Robot, resolution: float | None, held: Collection[str] = ()) -> list[str]:
@@ -312,9 +313,9 @@ def _speeds(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
     return np.abs(positions[after] - positions[before]).T / (times[after] - times[before])
 
 
-def _moving(table: Table, share: float) -> np.ndarray:
+def _moving(times: np.ndarray, positions: np.ndarray, share: float) -> np.ndarray:
     """Return (N,): whether any joint moves faster than this share of its usual top speed."""
-    speeds = _speeds(table.times, table.positions)  # (n, N)
+    speeds = _speeds(times, positions)  # (n, N)
     return np.any(speeds > np.maximum(share * np.quantile(speeds, 0.95, axis=1, keepdims=True), 1e-12), axis=0)
 
 
@@ -326,10 +327,27 @@ def _stalled(table: Table) -> np.ndarray:
     return same
 
 
+def stalls(times: np.ndarray, positions: np.ndarray, repeated: np.ndarray) -> list[tuple[int, int]]:
+    """Runs of repeated rows (N,) that are not simply a robot at rest.
+
+    It moves just before and just after them, or with the last step before those that a recording ends with.
+    """
+    moving, last = _moving(times, positions, _SLOW), len(times) - 1
+    slow = _SLOW * np.quantile(_speeds(times, positions), 0.95, axis=1)
+    out = []
+    for a, b in runs(repeated):
+        if b <= last:
+            stalled = moving[max(a - 1 - _WINDOW, 0)] and moving[min(b + _WINDOW, last)]
+        else:
+            stalled = a > 1 and np.any(np.abs(positions[a - 1] - positions[a - 2]) > slow * (times[a - 1] - times[a - 2]))
+        if stalled:
+            out.append((a, b))
+    return out
+
+
 def _stalls(table: Table, stalled: np.ndarray) -> list[str]:
-    """Report repeated rows that are not simply a robot at rest: it moves just before and just after them."""
-    moving = _moving(table, 0.2)
-    counted = [(a, b) for a, b in runs(stalled) if moving[max(a - 1 - _WINDOW, 0)] and moving[min(b + _WINDOW, len(table) - 1)]]
+    """Report rows that repeat the row before while the robot moves."""
+    counted = stalls(table.times, table.positions, stalled)
     rows = sum(b - a for a, b in counted)
     if rows < 2:
         return []
@@ -456,7 +474,7 @@ def _clipped(table: Table, name: str, values: np.ndarray) -> list[str]:
         held = [(a, b) for a, b in runs(values == extreme) if b - a >= 5]
         if not held:
             continue
-        moving = _moving(table, 0.05) if moving is None else moving
+        moving = _moving(table.times, table.positions, 0.05) if moving is None else moving
         places = [
             (a, b)
             for a, b in held

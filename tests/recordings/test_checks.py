@@ -61,6 +61,11 @@ def stall(frame: pd.DataFrame) -> pd.DataFrame:
     return frame
 
 
+def stall_at_the_end(frame: pd.DataFrame) -> pd.DataFrame:
+    frame.loc[301:, "q1":] = frame.loc[300, "q1":].to_numpy()
+    return frame
+
+
 def read_too_fast(frame: pd.DataFrame) -> pd.DataFrame:
     rows = np.arange(150, 250, 20)
     frame.loc[rows, "q1":] = frame.loc[rows - 1, "q1":].to_numpy()
@@ -152,6 +157,7 @@ DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("frozen encoder, no velocities", table(freeze_without_velocities, "validation.csv"), ("column q2: elbow stands", "2.9 s")),
     ("frozen where slow", table(freeze_where_slow, "validation.csv"), ("column q2: elbow stands", "frozen")),
     ("logger stall", table(stall, "validation.csv"), ("validation.csv: 6 rows repeat", "2.01 to 2.06 s")),
+    ("logger stall at the end", table(stall_at_the_end, "validation.csv"), ("rows repeat the row before", "from 3.01 to")),
     ("read too fast", table(read_too_fast, "validation.csv"), ("5 rows repeat", "each alone, the first at 1.5 s")),
     ("encoder slips", table(slip, "validation.csv"), ("column q1: shoulder jumps by 1.4", "2.99 s", "encoder")),
     ("never moves", table(lambda d: d.assign(q1=0.3, v1=0.0), "validation.csv"), ("column q1: shoulder never moves",)),

@@ -22,7 +22,7 @@ from bayesid.recordings.importing.column_map import (
 )
 from bayesid.recordings.importing.found_columns import FoundColumn, Layout
 from bayesid.recordings.importing.stream import Stream
-from bayesid.recordings.motion_checks import TURN, Timing, rows_held, wraps
+from bayesid.recordings.motion_checks import TURN, Timing, rows_held, stalls, wraps
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table, check_increasing
 from bayesid.recordings.toml_file import LARGEST
 
@@ -141,6 +141,9 @@ def make_signals(
             int(np.count_nonzero(~np.isnan(values).any(axis=1))),
         )  # fmt: skip
         signals.append(_without_held(signal) if held else signal)
+    if held:
+        signals, stalled = _without_stalls(signals)
+        notes += stalled
     return signals, list(dict.fromkeys(notes))
 
 
@@ -237,6 +240,37 @@ def _usable(clock: RowTimes, values: np.ndarray, what: str, source: str) -> tupl
         notes.append(f"{what}: {int(again.sum())} rows have the time of the one before; left out")
         rows = rows[~again]
     return rows, notes
+
+
+def _without_stalls(signals: Sequence[Signal]) -> tuple[list[Signal], list[str]]:
+    """Signals without the rows in which positions and readings of a stream are those of the row before while the robot moves.
+
+    Such a row is an old sample at the time of a new one, as of a logger that reads faster than the robot writes. What was done
+    is told, a line for each stream.
+    """
+    out, notes = list(signals), []
+    for q in (s for s in signals if s.quantity == "q"):
+        together = [k for k, s in enumerate(out) if s.clock is q.clock and np.array_equal(s.times, q.times)]
+        sensed = [out[k] for k in together if out[k].quantity != "qr"]
+        if not any(s.quantity in ("tau", "wrench") for s in sensed):  # encoders repeat what moves by less than a count
+            continue
+        times, values = q.times, np.column_stack([s.values for s in sensed])
+        kept = np.arange(len(times))
+        # Without them the robot is seen to be faster, and may be seen to move at more of them.
+        while stalled := stalls(
+            times[kept], q.values[kept], np.append(False, (np.diff(values[kept], axis=0) == 0.0).all(axis=1))
+        ):
+            kept = np.delete(kept, [row for a, b in stalled for row in range(a, b)])
+        if len(times) - len(kept) < 2:
+            continue
+        rows = f"{len(times) - len(kept)} of {len(times)} rows{f' of {q.topic}' if q.topic else ''}"
+        notes.append(
+            f"{rows} repeat the row before in positions and readings while the robot moves, old samples at the times of new "
+            "ones; left out"
+        )
+        for k in together:
+            out[k] = replace(out[k], times=out[k].times[kept], values=out[k].values[kept])
+    return out, notes
 
 
 def _without_held(signal: Signal) -> Signal:

@@ -203,6 +203,25 @@ def test_the_end_of_a_recording_may_be_held_out(known, tmp_path):
         bayesid.read_recording(tmp_path / "log.csv", known.urdf, hold_out=25.0)
 
 
+def test_old_samples_at_the_times_of_new_ones_are_left_out(known, tmp_path):
+    """A logger that now and then reads before the robot has written, and stalls in the end; a robot at rest repeats rows, too."""
+    frame = by_joint(known, time=known.t).iloc[:900]
+    rest, old = np.arange(400, 500), np.concatenate([np.arange(20, 380, 6), np.arange(880, 900)])
+    speed = np.interp(frame.index, [0, 380, 399, 500, 520], [1.0, 1.0, 0.0, 0.0, 1.0])  # slows down to a rest, and goes on
+    at = np.cumsum(speed) * (known.t[1] - known.t[0])
+    for column in frame.columns[1:]:
+        frame[column] = np.interp(at, known.t, by_joint(known)[column])
+    for row in old:
+        frame.iloc[row, 1:] = frame.iloc[row - 1, 1:]
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, units={"q": "rad"})
+    times = imported.experiment.motions[0].table.times
+    left_out = np.setdiff1d(frame["time"], times)
+    np.testing.assert_allclose(left_out, frame["time"].to_numpy()[old], atol=1e-9)
+    assert np.isin(frame["time"].to_numpy()[rest], times).all()
+    assert any("80 of 900 rows repeat the row before" in text for text in imported.recordings[0].recording.done)
+
+
 def test_joints_that_are_not_used_stand_where_they_were_recorded(known, tmp_path):
     """Only the shoulder is identified: the elbow, which moves, is locked in the middle, and that is told."""
     by_joint(known, time=known.t).to_csv(tmp_path / "log.csv", index=False)
