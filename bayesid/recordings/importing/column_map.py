@@ -49,7 +49,7 @@ _WORDS = {
     "v": ("v", "qd", "dq", "qdot", "vel", "velocity", "velocities", "actual_qd", "joint_vel", "joint_velocity",
           "joint_velocities", "qvel"),
     "qr": ("qr", "q_ref", "q_des", "q_d", "q_desired", "q_cmd", "target_q", "position_command", "commanded"),
-    "tau": ("tau", "effort", "efforts", "torque", "torques", "tau_j", "joint_torque", "joint_torques", "qfrc"),
+    "tau": ("tau", "eff", "effort", "efforts", "torque", "torques", "tau_j", "joint_torque", "joint_torques", "qfrc"),
 }  # fmt: skip
 #: The quantity of each word.
 QUANTITY_OF_WORD = {word: quantity for quantity, words in _WORDS.items() for word in words}

@@ -153,6 +153,16 @@ def test_a_stated_unit_that_is_not_the_one_of_the_name_is_told(known, tmp_path):
     assert told == "q1 [rad], q2 [rad]: read in deg, as stated, and not in the rad of the name"
 
 
+def test_short_words_of_ros_controllers_are_known(known, tmp_path):
+    frame = by_joint(known, time=known.t)
+    for word, short in (("position", "pos"), ("velocity", "vel"), ("effort", "eff")):
+        frame.columns = [f"{short}_{c.split('/')[2]}" if c.endswith(word) else c for c in frame.columns]
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    table = only(tmp_path / "log.csv", known)
+    for name, values in (("positions", known.q), ("velocities", known.v), ("torques", known.tau)):
+        np.testing.assert_array_equal(getattr(table, name), values)
+
+
 def test_a_unit_that_is_not_stated_is_asked_for(known, tmp_path):
     frame = by_joint(known, time=known.t)
     positions = [column for column in frame if column.endswith("position")]
