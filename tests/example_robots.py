@@ -173,7 +173,7 @@ PAPER_ESTIMATE = (0.1125, -4.2455, 2.2202, -0.1834, -0.2278, 1.2489, 0.1338, 0.1
 def puma_two_joint_urdf() -> str:
     """Two-joint PUMA of Liu et al. (1998) in link frames that give the paper's base parameters.
 
-    Joints ``joint1`` and ``joint2`` move; hold the others at `bayesid.robot.examples.PAPER_LOCKED`, so that their links belong to
+    Joints ``joint1`` and ``joint2`` move; hold the others at `bayesid.workflows.demo.PAPER_LOCKED`, so that their links belong to
     link 2.
 
     ============  =======================================================================================

@@ -65,7 +65,7 @@ def experiment(robot: Robot, motions, sensor: Sensor | None = None, **options) -
 
 def puma2(folder: Path) -> Robot:
     """The paper's two-joint robot."""
-    from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
+    from bayesid.workflows.demo import PAPER_LOCKED, puma_two_joint_urdf
 
     return load_robot(write(folder, puma_two_joint_urdf()), ["joint1", "joint2"], PAPER_LOCKED)
 

@@ -26,6 +26,7 @@ from scipy.fft import idct
 
 from bayesid.diagnosis.data import DiagnosisData, Episode, active_terms
 from bayesid.diagnosis.fit import Fit
+from bayesid.diagnosis.grams import squared
 from bayesid.diagnosis.noise import with_noise_of
 from bayesid.diagnosis.spectra import SpectralSegment, taper
 from bayesid.effects import Effect, ExternalContact, MotionSegment, Term, columns
@@ -120,7 +121,7 @@ class _Moments:
     def scaled(self, scale: np.ndarray) -> _Scaled:
         """Everything in units of each channel's scale (c,)."""
         rows = np.concatenate([self.columns, self.residual[:, :, None]], axis=2) / scale[:, None]
-        return _Scaled(rows, _gram(rows) + np.diag([*self.prior, 0.0]), scale, self.edges)
+        return _Scaled(rows, squared(rows) + np.diag([*self.prior, 0.0]), scale, self.edges)
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,7 +318,7 @@ def _scanned(moments: _Moments) -> tuple[int, slice] | None:
         step = times[1] - times[0]
         size = max(round(max(_BLOCK, (times[-1] - times[0]) / _MOST_BLOCKS) / step), 1)
         edges = np.arange(moments.edges[k] + clear[0], moments.edges[k] + clear[-1] + 1, size)
-        blocks = [_gram(rows[a:b]) for a, b in pairwise(edges)]
+        blocks = [squared(rows[a:b]) for a, b in pairwise(edges)]
         summed = np.cumsum([np.zeros_like(total), *blocks], axis=0)
         longest = int(moments.data.settings.most * len(times) / size)
         for n in sorted({round(min(2 * _LONGER**x, longest)) for x in range(40) if longest >= 2}):
@@ -359,7 +360,7 @@ def _fitted(scaled: _Scaled, place: _Place, inside: slice) -> _Window:
     """A push on a link in one window."""
     p = len(scaled.total) - 1
     near = scaled.rows[inside]
-    far = scaled.total - _gram(near)
+    far = scaled.total - squared(near)
     window = _stepped(scaled, place, inside, near, far, np.zeros(3), _solved(far[:p, :p], far[:p, p])[0])
     for _ in range(_STEPS):
         window = _stepped(scaled, place, inside, near, far, np.clip(window.point, -1.0, 1.0), window.coefficients)
@@ -382,7 +383,7 @@ def _stepped(
     rows = np.concatenate([near[:, :, :p], moved, near[:, :, p:] + (moved @ point)[:, :, None]], axis=2)
     slopes = solve @ rows
     rows = rows - unit @ slopes
-    square = _gram(rows)
+    square = squared(rows)
     others, own = [*range(p), -1], range(p, p + 3)
     square[np.ix_(others, others)] += far
     square[own, own] += _POINT_STD**-2.0
@@ -413,7 +414,7 @@ def _correlated(moments: _Moments, inside: slice, window: _Window) -> float:
     """How many neighbouring moments count as one: one and twice the correlations outside a window, up to the first below zero."""
     left = moments.residual - moments.columns @ window.coefficients
     left[inside] = 0.0
-    left /= np.maximum(_root_mean_square(left), 1e-300)
+    left /= _root_mean_square(left)
     parts = [left[a:b] for a, b in pairwise(moments.edges)]
     most = min(len(part) for part in parts) // 4
     power, total = float(np.sum(left**2)), 1.0
@@ -423,12 +424,6 @@ def _correlated(moments: _Moments, inside: slice, window: _Window) -> float:
             break
         total += 2.0 * share
     return total
-
-
-def _gram(rows: np.ndarray) -> np.ndarray:
-    """Inner products (p, p) of columns (m, c, p)."""
-    flat = rows.reshape(-1, rows.shape[2])
-    return flat.T @ flat
 
 
 def _left(gram: np.ndarray) -> float:

@@ -221,7 +221,7 @@ def _weighted(
     """
     if weights.complete:
         return weights.noise, None, reduce_whitened(regression.rows.blocks(), weights.noise)
-    noise = {g: NoiseModel(np.ones((len(m.std), 1)), np.diag(m.std**2)) for g, m in weights.noise.items()}
+    noise = {group: model.uncoloured() for group, model in weights.noise.items()}
     solution = weights.solution
     for _ in range(passes):
         white = {group: _white(regression, group, solution) for group in noise}

@@ -35,6 +35,11 @@ def listed(names: Iterable[str], shown: int = 12) -> str:
     return ", ".join(every[:shown]) + (f" and {len(every) - shown} more" if len(every) > shown else "")
 
 
+def in_words(words: Sequence[str], comma: str = ", ") -> str:
+    """Return ``a, b and c``; nothing for no words."""
+    return f"{comma.join(words[:-1])} and {words[-1]}" if len(words) > 1 else "".join(words)
+
+
 def columns_of(names: Sequence[str], shown: int = 12) -> str:
     """Return ``column q1``, or ``columns q1, q2``, of which there is one at least."""
     return f"column{'s' * (len(names) > 1)} {listed(names, shown)}"

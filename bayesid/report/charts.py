@@ -84,10 +84,10 @@ class Panel:
         path = "".join(_path(*_simplified(self.across(x[part]), self.down(y[part]))) for part in _unbroken(x, y))
         return f'<path d="{path}" fill="none" stroke="{colour}" stroke-width="1" stroke-linejoin="round"/>'
 
-    def dots(self, x: np.ndarray, y: np.ndarray, colour: str, radius: float = 1.5) -> str:
+    def dots(self, x: np.ndarray, y: np.ndarray, colour: str) -> str:
         """A dot for each point."""
         places = zip(self.across(x).tolist(), self.down(y).tolist(), strict=True)
-        return "".join(f'<circle cx="{a:.1f}" cy="{b:.1f}" r="{radius:g}" fill="{colour}"/>' for a, b in places)
+        return "".join(f'<circle cx="{a:.1f}" cy="{b:.1f}" r="1.5" fill="{colour}"/>' for a, b in places)
 
     def bar(self, low: float, high: float, middle: float, thickness: float, colour: str) -> str:
         """A horizontal bar from one value to another; ``middle`` and ``thickness`` in values of the vertical axis."""

@@ -25,6 +25,7 @@ from bayesid.diagnosis.verdict import Reason
 from bayesid.effects import Term
 from bayesid.effects.effect import Derived
 from bayesid.estimators.parameters import with_ends
+from bayesid.recordings.complaints import in_words
 from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.results.described import DRAFT, described_lines, description_dict, terms_of, write_draft
 from bayesid.results.excitation import NEXT_MOTION, telling_dict
@@ -293,7 +294,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     count = _COUNTS.get(len(names), f"{len(names)} effects")
     if d.verdict == "named_in_part":
         each = [_with_rivals(name, f, d) for name, f in zip(names, d.found, strict=True)]
-        spelt = listed(each) if len(names) <= _SPELT_OUT else listed(by_kind(f.term for f in d.found))
+        spelt = in_words(each) if len(names) <= _SPELT_OUT else in_words(by_kind(f.term for f in d.found))
         by = "" if d.part is None else f" that {held_out_text(d.data, d.part.held_out_parts)} confirm"
         more = d.part is None or d.reason == "residual" or bool(d.part.groups)
         return f"The model misses {count}{by}{', and more that stays unexplained' if more else ''}: {spelt}."
@@ -316,7 +317,7 @@ def part_sentence(diagnosis: Diagnosis) -> str:
     if part is None:
         return ""
     own = part.search.found
-    closes = f"{listed(by_kind(f.term for f in own))} {'closes' if len(own) == 1 else 'close'}"
+    closes = f"{in_words(by_kind(f.term for f in own))} {'closes' if len(own) == 1 else 'close'}"
     if len(own) == len(d.found):  # a push is no part of other recordings
         closes = "it closes" if len(own) == 1 else "they close"
     none = part.remainder < LEAST_GAP
@@ -326,8 +327,8 @@ def part_sentence(diagnosis: Diagnosis) -> str:
         known = d.data.floor_source == FAR  # known, but not what weighs rows that hold far more
         text += f", the noise{'' if known else ', which is not known,'} included"
     places = [w for w in d.remainder if not w.event]
-    channels = listed(list(dict.fromkeys(w.channel for w in places))[:_CHANNELS_SAID])
-    joints = listed(list(dict.fromkeys(w.joint for w in places[:_SHOWN] if w.joint)))
+    channels = in_words(list(dict.fromkeys(w.channel for w in places))[:_CHANNELS_SAID])
+    joints = in_words(list(dict.fromkeys(w.joint for w in places[:_SHOWN] if w.joint)))
     if channels:
         text += "; what still stands out of the noise is" if none else ", most of it"
         text += f" in {channels}" + (f", and it goes with {joints}" if joints else "")
@@ -335,7 +336,7 @@ def part_sentence(diagnosis: Diagnosis) -> str:
         unseen = [e.last for e in d.errors if not e.fitted and e.last.noise_known]
         left = [p for p in unseen if (p.whitened_rms / p.expected_rms) ** 2 > d.data.settings.unexplained]
         more = [f"{_times(p)} times the noise stays on ‘{p.motion}’" for p in left]
-        text += f"; yet {listed(more)}, which took no part in any fit" if left else ""
+        text += f"; yet {in_words(more)}, which took no part in any fit" if left else ""
     return f"{text}."
 
 
@@ -343,7 +344,7 @@ def validation_sentence(diagnosis: Diagnosis) -> str:
     """What unseen motions, or for want of any the fitted ones, say of it."""
     d, gap = diagnosis, diagnosis.gap
     others = [f"‘{e.motion}’" for e in d.errors if not e.fitted]
-    of_others = f"On {listed(others)}, which took no part in any fit, {left_text(d)}." if others else ""
+    of_others = f"On {in_words(others)}, which took no part in any fit, {left_text(d)}." if others else ""
     if gap is None:
         of_fitted = f"On the fitted {'ones' if len(d.errors) > 1 else 'one'} {left_text(d)}." if d.errors else ""
         text = f"{without_validation(d)} {of_others or of_fitted}".rstrip()
@@ -357,7 +358,7 @@ def validation_sentence(diagnosis: Diagnosis) -> str:
             places, them = ("one place stands", "it") if count == 1 else (f"{count} places stand", "them")
             text += f" In the fitted motions {places} out of the noise, but no effect of the library explains {them}."
     elif d.verdict == "unknown":
-        tried, closed = listed(by_kind(f.term for f in d.search.found)), known_share(gap.closed)
+        tried, closed = in_words(by_kind(f.term for f in d.search.found)), known_share(gap.closed)
         if tried:
             text += f" The best attempt ({tried}) closes {closed or 'nothing'} of the gap."
     elif gap.difference < d.data.settings.detected**2:
@@ -365,7 +366,7 @@ def validation_sentence(diagnosis: Diagnosis) -> str:
         text += f" The readings of these motions hardly depend on {what}, so they neither confirm nor deny {what}."
     elif closed := known_share(gap.closed):
         least = known_share(gap.closed_low)
-        where = "" if len(others) == len(gap.motions) else f" on {listed([f'‘{m}’' for m in gap.motions])}"
+        where = "" if len(others) == len(gap.motions) else f" on {in_words([f'‘{m}’' for m in gap.motions])}"
         text += f" That closes {closed} of the gap{where}" + (f", at least {least}." if least else ".")
     here = [f.term for f in d.found if isinstance(f.term, Episode)]
     if here and isinstance(here[0], Push):
@@ -389,7 +390,7 @@ def which_motions(diagnosis: Diagnosis) -> str:
     others = [f"‘{e.motion}’" for e in diagnosis.errors if not e.fitted]
     if others:
         return (
-            f"**The search was validated on no other motion.** What is left by channel is that of {listed(others)}, which took "
+            f"**The search was validated on no other motion.** What is left by channel is that of {in_words(others)}, which took "
             "no part in the fit; the courses below it are of fitted ones."
         )
     if diagnosis.data.skipped:
@@ -414,7 +415,7 @@ def left_text(diagnosis: Diagnosis) -> str:
     goes = any(e.after is not None for e in errors)
     known = all(e.before.noise_known for e in errors)
     size = _times if known else _share
-    sizes = listed([each(e, size) for e in errors])
+    sizes = in_words([each(e, size) for e in errors])
     if known:
         complete = number(max(e.last.expected_rms for e in errors), 3)
         text = f"the residual goes {sizes} times the noise" if goes else f"{sizes} times the noise is left"
@@ -481,9 +482,9 @@ def event_sentences(diagnosis: Diagnosis) -> list[str]:
     out = []
     for motion in dict.fromkeys(w.motion for w in events):
         mine = sorted((w for w in events if w.motion == motion), key=lambda w: w.start)
-        channels = listed(list(dict.fromkeys(w.channel for w in mine)))
+        channels = in_words(list(dict.fromkeys(w.channel for w in mine)))
         taps, one = sum(w.tap for w in mine), len(mine) == 1
-        times = listed([f"{w.peak:.2f}" for w in mine])
+        times = in_words([f"{w.peak:.2f}" for w in mine])
         text = f"{'One short event' if one else f'{len(mine)} short events'} in ‘{motion}’ at {times} s, loudest in {channels}, "
         text += f"above the frequencies that models are compared at ({mine[0].band_hz[0]:.3g} Hz and more)"
         text += ", in a motion that took no part in the fit" if mine[0].unseen else ""
@@ -544,8 +545,3 @@ def known_share(share: float) -> str:
     if not np.isfinite(share) or share <= 0:
         return ""
     return percent(share) if share < 0.999 else f"{np.floor(min(share, 1.0) * 1e5) / 1e3:.6g} %"
-
-
-def listed(words: list[str]) -> str:
-    """Words with commas and an and."""
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""

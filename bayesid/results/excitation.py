@@ -16,6 +16,7 @@ from bayesid.design.excitation.diagnosability import Diagnosability
 from bayesid.design.excitation.series import FourierSeries
 from bayesid.design.tell.choose import Telling
 from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.recordings.complaints import in_words
 from bayesid.results.files import SCHEMA, Files, ShownResult, strict
 from bayesid.rounding import counted, number, percent
 from bayesid.section import ShownTable, powers
@@ -284,8 +285,7 @@ def duration(telling: Telling) -> str:
 
 def listed_names(names: tuple[str, ...]) -> str:
     """Rivals in a sentence; semicolons where a rival is several effects."""
-    comma = "; " if any(", " in name for name in names) else ", "
-    return f"{comma.join(names[:-1])} and {names[-1]}"
+    return in_words(names, "; " if any(", " in name for name in names) else ", ")
 
 
 def chance(probability: float) -> str:

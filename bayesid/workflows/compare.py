@@ -16,7 +16,7 @@ from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator, fi
 from bayesid.estimators.least_squares import LeastSquaresDetails
 from bayesid.estimators.nonlinear import settled
 from bayesid.estimators.weights import Weights, learn_weights
-from bayesid.recordings.complaints import listed
+from bayesid.recordings.complaints import in_words, listed
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
@@ -243,9 +243,8 @@ def _warnings(
     if not weights.complete:
         out.append(incomplete(weights.dispersion, weights.dispersion_by_channel))
     for names in equal_estimates(done):
-        *others, last = names
         because = [w for e in done if e.name in names and e.estimate is not None for w in e.estimate.details.warnings]
-        out.append(because[0] if because else f"{', '.join(others)} and {last} are the same here, to the last digit.")
+        out.append(because[0] if because else f"{in_words(names)} are the same here, to the last digit.")
     apart = [t for t in tests if t.contradiction]
     if apart:
         names, largest = ", ".join(t.method for t in apart), max(t.probability or 0.0 for t in apart)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import tempfile
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,6 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.results.files import check_output
 from bayesid.results.identification import Identification, summary
-from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import load_robot
 from bayesid.simulation.simulation import Recorder, Simulation, simulate, write_simulation
 from bayesid.simulation.trajectories import fourier_trajectory
@@ -23,10 +24,21 @@ from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import Progress, quiet
 
 NAME = "two-joint-puma"
+#: Angles of the joints that the paper's experiment held still [rad]; q3 = -142.1 degrees is a full turn below 217.9 degrees,
+#: which is within the joint's range.
+PAPER_LOCKED = {"joint3": math.radians(-142.1), "joint4": 0.0, "joint5": 0.0, "joint6": 0.0}
 
 _GEAR = (62.6111, 107.815)
 _VISCOUS = (1.48e-3, 8.17e-4)  # at the motor [N m s/rad]
 _COULOMB = ((0.395, 0.435), (0.126, 0.071))  # at the motor, forwards and backwards [N m]
+
+
+def puma_two_joint_urdf() -> str:
+    """URDF text of a PUMA 560 in link frames that give the paper's base parameters; written by ``tests/example_robots.py``.
+
+    Joints ``joint1`` and ``joint2`` move; hold the others at `PAPER_LOCKED`, so their links belong to link 2.
+    """
+    return files("bayesid.robot").joinpath("puma_two_joint.urdf").read_text(encoding="utf-8")
 
 
 def puma_friction() -> dict[str, dict[str, float]]:

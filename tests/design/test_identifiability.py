@@ -11,10 +11,10 @@ import bayesid
 from bayesid.effects.surroundings import STILL
 from bayesid.regression.problem import prepare
 from bayesid.results.identifiability import effect_lines
-from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import load_robot
 from bayesid.rounding import number
 from bayesid.simulation.trajectories import fourier_trajectory
+from bayesid.workflows.demo import PAPER_LOCKED, puma_two_joint_urdf
 from tests import robots
 from tests.example_robots import paper_base_map
 from tests.robots import write

@@ -10,8 +10,8 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 import bayesid
-from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import load_robot
+from bayesid.workflows.demo import PAPER_LOCKED, puma_two_joint_urdf
 
 DRY = ("coulomb_friction", "viscous_friction")
 

@@ -21,8 +21,8 @@ from bayesid.recordings.schema import read_model
 from bayesid.report import diagnosis as report
 from bayesid.report.diagnosis_figures import diagnosis_views, noise_parts
 from bayesid.results import diagnosis
-from bayesid.robot.examples import PAPER_LOCKED
 from bayesid.rounding import percent
+from bayesid.workflows.demo import PAPER_LOCKED
 from tests.report_pages import read
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 

@@ -31,10 +31,10 @@ from bayesid.effects.friction import CoulombFriction, StribeckFriction
 from bayesid.effects.surroundings import moving
 from bayesid.recordings.experiment import Experiment
 from bayesid.report.diagnosis import diagnosis_report
-from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import Robot, load_robot
 from bayesid.simulation.simulation import simulate
 from bayesid.simulation.trajectories import fourier_trajectory
+from bayesid.workflows.demo import PAPER_LOCKED, puma_two_joint_urdf
 from tests.robots import ur5, write
 
 HIDDEN = {

@@ -14,7 +14,7 @@ from bayesid.diagnosis.push import find_push, less_push, without_push
 from bayesid.effects import EffectLibrary, Term
 from bayesid.recordings.experiment import WRENCH_COLUMNS
 from bayesid.results.diagnosis import validation_sentence
-from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
+from bayesid.workflows.demo import PAPER_LOCKED, puma_two_joint_urdf
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 #: When, and where on the second link [m].

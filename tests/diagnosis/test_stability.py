@@ -16,7 +16,7 @@ from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.stability import _grams, stability
 from bayesid.effects import Term
-from bayesid.robot.examples import PAPER_LOCKED
+from bayesid.workflows.demo import PAPER_LOCKED
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))

@@ -14,7 +14,7 @@ from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.search import _start
 from bayesid.effects import Term, exact
 from bayesid.effects.placement import MOUNT_RESONANCES
-from bayesid.robot.examples import PAPER_LOCKED
+from bayesid.workflows.demo import PAPER_LOCKED
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))

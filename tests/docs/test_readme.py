@@ -19,9 +19,9 @@ from bayesid.cli import main
 from bayesid.effects import EffectLibrary
 from bayesid.recordings import schema
 from bayesid.results.export.simulators import mjcf
-from bayesid.robot.examples import PAPER_LOCKED
 from bayesid.robot.urdf import JointDynamics
 from bayesid.validation.prediction import TOLERATED
+from bayesid.workflows.demo import PAPER_LOCKED
 from tests.docs.notebook import Notebook
 from tests.recordings.importing.logs import START, Bag
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording

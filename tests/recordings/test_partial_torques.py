@@ -16,7 +16,7 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion, load_experiment
 from bayesid.recordings.table import Table
 from bayesid.recordings.writer import write_experiment
-from bayesid.robot.examples import PAPER_LOCKED
+from bayesid.workflows.demo import PAPER_LOCKED
 from tests.simulated import experiment, fourier, puma2, recording
 
 FRICTION = ["viscous_friction", "torque_offset"]

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
+from bayesid.workflows.demo import PAPER_LOCKED, puma_two_joint_urdf
 from tests import example_robots as examples
 from tests.robots import ROBOTS, write
 

@@ -29,10 +29,10 @@ from bayesid.design.tell.rivals import from_search
 from bayesid.diagnosis.verdict import evidence_of, verdict
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor
-from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import Robot, load_robot
 from bayesid.simulation.simulation import Simulation, default_values, simulate
 from bayesid.simulation.trajectories import Trajectory, fourier_trajectory
+from bayesid.workflows.demo import PAPER_LOCKED, puma_two_joint_urdf
 from tests.example_robots import puma560_urdf
 from tests.studies.page import BLUE, GREY, STUDIES, STYLE, table, write_numbers, write_page
 

@@ -11,11 +11,11 @@ from bayesid.cli import main
 from bayesid.estimators import weights
 from bayesid.regression.problem import prepare
 from bayesid.report.comparison import comparison_report, errors_figure
-from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import load_robot
 from bayesid.validation.agreement import gaps, hausman, nominal_estimates
 from bayesid.workflows import compare as module
 from bayesid.workflows.compare import DEFAULT_SET
+from bayesid.workflows.demo import PAPER_LOCKED, puma_two_joint_urdf
 from tests.report_pages import read
 from tests.robots import write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording

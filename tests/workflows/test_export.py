@@ -29,10 +29,10 @@ from bayesid.effects import EffectLibrary, JointMotion
 from bayesid.effects.segment import direction
 from bayesid.results.export.inverse_dynamics import LAWS, JointLaw, inverse_dynamics, source_code
 from bayesid.results.export.simulators import mjcf, sdf
-from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import load_robot
 from bayesid.robot.urdf import JointDynamics, urdf_text
 from bayesid.workflows import export as workflow
+from bayesid.workflows.demo import PAPER_LOCKED, puma_two_joint_urdf
 from tests.robots import ROBOTS, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 

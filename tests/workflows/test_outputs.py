@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 import bayesid
 from bayesid.recordings.table import Table
 from bayesid.regression.problem import prepare
-from bayesid.robot.examples import PAPER_LOCKED
+from bayesid.workflows.demo import PAPER_LOCKED
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 EFFECTS = ("viscous_friction", "coulomb_friction")

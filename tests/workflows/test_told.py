@@ -8,7 +8,7 @@ import pytest
 
 import bayesid
 from bayesid.cli import main
-from bayesid.robot.examples import puma_two_joint_urdf
+from bayesid.workflows.demo import puma_two_joint_urdf
 
 
 @pytest.fixture(scope="module")

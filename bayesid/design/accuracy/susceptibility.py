@@ -120,8 +120,4 @@ def _with_leftover(regression: Regression, solution: np.ndarray, noise: dict[str
     for block in regression.rows.blocks():
         power[block.group] += np.sum(block.residual(solution) ** 2, axis=0)
         count[block.group] += len(block.rows)
-    out = {}
-    for group, model in noise.items():
-        larger = np.sqrt(1.0 + power[group] / max(count[group], 1) / model.std**2)
-        out[group] = replace(model, innovation=model.innovation * np.outer(larger, larger))
-    return out
+    return {group: m.scaled(1.0 + power[group] / max(count[group], 1) / m.std**2) for group, m in noise.items()}

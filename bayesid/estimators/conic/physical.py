@@ -40,6 +40,7 @@ from bayesid.estimators.estimator import OPTIONAL, Details, Estimate
 from bayesid.estimators.least_squares import completeness, likelihood_weights, make_estimate, weighted_factor
 from bayesid.estimators.prior_check import Evidence, PriorCheck, compared
 from bayesid.estimators.weights import learn_weights
+from bayesid.recordings.complaints import in_words
 from bayesid.regression.linalg import UNSEEN, determined_inverse, pseudo_inverse
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
@@ -136,8 +137,7 @@ def explain(problem: Conic) -> InputError:
         return InputError("bounds: no body can meet them; leave some out")
     if len(conflicting) == 1:
         return InputError(f"bounds: no body that can exist has {conflicting[0].name}; widen it")
-    named = f"{', '.join(g.name for g in conflicting[:-1])} and {conflicting[-1].name}"
-    return InputError(f"bounds: {named} exclude each other; widen one of them")
+    return InputError(f"bounds: {in_words([g.name for g in conflicting])} exclude each other; widen one of them")
 
 
 def _feasible(problem: Conic, bounds: Sequence[Linear]) -> bool:

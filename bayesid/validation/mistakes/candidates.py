@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.dynamics.kinematics import P, R, W, link_states
+from bayesid.recordings.complaints import in_words
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot.robot import Robot
 from bayesid.validation.mistakes.evidence import Change
@@ -206,11 +207,6 @@ def zeros(names: Sequence[str], angles: np.ndarray) -> Candidate:
         name=f"position_zero{several}", where=",".join(f"q{j + 1}" for j in which), says=says,
         remedy=f"add {added}, or turn the zero{several} in the URDF", change=Change(zeros=angles),
     )  # fmt: skip
-
-
-def in_words(words: Sequence[str]) -> str:
-    """Words with commas and an ``and``."""
-    return ", ".join(words[:-1]) + f" and {words[-1]}" if len(words) > 1 else "".join(words)
 
 
 def of_wrench(sensor: Sensor) -> list[Candidate]:

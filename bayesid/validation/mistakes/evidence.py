@@ -120,6 +120,8 @@ _RIDGE, _HARDLY_ANY = 1e-5, 1e-10
 WORSE = float(np.log(4.0 / 3.0))
 #: Readings of which more of the power is left are not explained.
 UNEXPLAINED = 0.25
+#: A mistake is as rare as one in a thousand, and must be a thousand times as probable as none: log(1e6) [nats].
+NEEDED = 13.8
 _ROUNDS = 2  # of weighting channels by what they leave
 
 

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment, nnls
 
 from bayesid.dynamics.regressors import Kernel
-from bayesid.validation.mistakes.candidates import Candidate, Mistake, along, in_words, order, signs, zeros
+from bayesid.recordings.complaints import in_words
+from bayesid.validation.mistakes.candidates import Candidate, Mistake, along, order, signs, zeros
 from bayesid.validation.mistakes.evidence import (
     AS_RECORDED,
     EXPLAINED,

@@ -16,6 +16,7 @@ from bayesid.validation.mistakes.candidates import Candidate, Mistake, candidate
 from bayesid.validation.mistakes.evidence import (
     AS_RECORDED,
     EXPLAINED,
+    NEEDED,
     UNEXPLAINED,
     WORSE,
     Explainer,
@@ -29,8 +30,6 @@ from bayesid.validation.mistakes.shifts import delayed, zeros_moved
 _LISTED = 3
 #: A link that is this far away in one of two poses is told from the other by eye [m].
 _VISIBLE = 0.05
-#: A mistake is as rare as one in a thousand, and must be a thousand times as probable as none: log(1e6) [nats].
-NEEDED = 13.8
 #: Candidates whose evidence is this close cannot be told apart: odds of 150 [nats].
 ALIKE = 5.0
 #: A channel explained better than this share of its variation gives no cause to doubt its joint.
@@ -206,7 +205,7 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
                     guessed = [m for m in guessed if m.evidence > late.evidence]
                     found += [] if any(np.isfinite(m.evidence) for m in guessed) else [late]
                 found += guessed
-                found += zeros_moved(experiment, NEEDED) if channel == "wrench" else []
+                found += zeros_moved(experiment) if channel == "wrench" else []
             except (InputError, np.linalg.LinAlgError, ValueError, RuntimeError):
                 # Too short or too uneven to be smoothed, or numbers of a size that no robot has: others say that better.
                 continue

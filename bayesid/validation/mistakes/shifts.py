@@ -18,7 +18,7 @@ from bayesid.regression.linalg import pseudo_inverse
 from bayesid.regression.readings import has_readings, make_channels, readings_of
 from bayesid.rounding import number
 from bayesid.validation.mistakes.candidates import Mistake
-from bayesid.validation.mistakes.evidence import FITTED, WORSE, columns_beside, independent_samples, rms
+from bayesid.validation.mistakes.evidence import FITTED, NEEDED, WORSE, columns_beside, independent_samples, rms
 from bayesid.validation.mistakes.samples import MARGIN, splined
 
 _STEP, _LONGEST = 0.01, 0.5  # of the delays that are tried [s]
@@ -26,8 +26,6 @@ _SHARE = 0.1  # of the shortest piece, at most
 _SHORTEST, _LONG = 2.0, 0.25  # of pieces [s], and as a share of the longest
 _SAMPLES, _SMOOTHED = 400, 20_000
 _PARTS = 8  # of all recordings, which must agree
-#: Log odds against no delay that it needs: as any other mistake (`bayesid.validation.mistakes.search`).
-_NEEDED = 13.8
 
 
 @dataclass(frozen=True)
@@ -144,7 +142,7 @@ def delayed(experiment: Experiment, channel: str) -> Mistake | None:
         return None
     best, none = int(np.argmax(profile.gained)), len(profile.delays) // 2
     found = profile.best()
-    if found is None or profile.gained[best] < WORSE or profile.evidence(found[1]) < _NEEDED:
+    if found is None or profile.gained[best] < WORSE or profile.evidence(found[1]) < NEEDED:
         return None
     delay, std = found
     channels = make_channels(experiment, channel)
@@ -168,16 +166,16 @@ _OF_DIFFERENCE, _SHORTEST_DIFFERENCE = 300, 2.0
 _CLEAR = 3.0  # standard deviations from which on an axis is told
 
 
-def zeros_moved(experiment: Experiment, needed: float) -> list[Mistake]:
-    """Motions that differ from their static runs, row by row, by a constant wrench; each has ``needed`` log evidence [nats].
+def zeros_moved(experiment: Experiment) -> list[Mistake]:
+    """Motions that differ from their static runs, row by row, by a constant wrench.
 
     Beside it, bodies of any size and a drift since the motion's time zero explain the difference.
     """
     moved = [m for m in experiment.motions if m.kind == "trajectory" and m.stop_and_go and has_readings(m.table, "wrench")]
-    return [found for m in moved if (found := _moved(experiment, m, needed)) is not None]
+    return [found for m in moved if (found := _moved(experiment, m)) is not None]
 
 
-def _moved(experiment: Experiment, motion: Motion, needed: float) -> Mistake | None:
+def _moved(experiment: Experiment, motion: Motion) -> Mistake | None:
     table, still = motion.table, motion.static
     if still is None or table.wrench is None or still.wrench is None:
         return None
@@ -202,7 +200,7 @@ def _moved(experiment: Experiment, motion: Motion, needed: float) -> Mistake | N
     left = [np.maximum(rms(x), floor) for x in (before, after)]
     gained, worth = float(np.log(left[0] / left[1]).sum()), independent_samples(after, np.concatenate(part))
     evidence = worth * gained - 0.5 * count * np.log(worth)
-    if gained < WORSE or evidence < needed:
+    if gained < WORSE or evidence < NEEDED:
         return None
     shift, k = solution[-count:], int(np.argmax(left[0] / left[1]))
     clear = np.flatnonzero(np.abs(shift) > _CLEAR * left[1] / np.sqrt(worth))
