@@ -40,11 +40,11 @@ from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.table import Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
-from bayesid.robot import examples
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot, load_robot
 from bayesid.tasks import cluster, map_tasks
 from bayesid.validation.noise_floor import noise_floor
+from bayesid.workflows.demo import PAPER_LOCKED, puma_two_joint_urdf
 from tests import robots
 from tests.simulated import fourier
 from tests.studies.interval_coverage import band
@@ -99,12 +99,12 @@ class Case:
 
 CASES = {
     "puma-estimate": Case(
-        "PUMA, two joints, base wrench, `wls`", examples.puma_two_joint_urdf, ("joint1", "joint2"), examples.PAPER_LOCKED,
+        "PUMA, two joints, base wrench, `wls`", puma_two_joint_urdf, ("joint1", "joint2"), PAPER_LOCKED,
         "wrench", "estimate", 1.5, 0.05, 0.004, 1000,
     ),
     "ur5-estimate": Case("UR5, six joints, torques, `wls`", robots.ur5, None, {}, "torque", "estimate", 3.0, 0.01, 0.002, 200),
     "puma-posterior": Case(
-        "PUMA, two joints, base wrench, posterior", examples.puma_two_joint_urdf, ("joint1", "joint2"), examples.PAPER_LOCKED,
+        "PUMA, two joints, base wrench, posterior", puma_two_joint_urdf, ("joint1", "joint2"), PAPER_LOCKED,
         "wrench", "posterior", 1.5, 0.05, 0.004, 200,
     ),
     "ur5-posterior": Case(

@@ -29,9 +29,10 @@ from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.readings import make_channels
-from bayesid.robot import examples, inertia
+from bayesid.robot import inertia
 from bayesid.robot.robot import Robot, load_robot
 from bayesid.signals.filters import LowPass, low_pass
+from bayesid.workflows.demo import PAPER_LOCKED, puma_two_joint_urdf
 from tests.robots import ur5
 
 RATE, DURATION = 125.0, 20.0  # [Hz], [s]
@@ -69,7 +70,7 @@ class Arm:
 ARMS = {
     arm.name: arm
     for arm in (
-        Arm("puma", examples.puma_two_joint_urdf, ("joint1", "joint2"), examples.PAPER_LOCKED, True, 1998),
+        Arm("puma", puma_two_joint_urdf, ("joint1", "joint2"), PAPER_LOCKED, True, 1998),
         Arm("ur5", ur5, None, {}, False, 2005),
     )
 }
