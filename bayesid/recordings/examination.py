@@ -75,8 +75,10 @@ def check_channels(table: Table) -> list[str]:
             f"{table.source}: columns {', '.join(unsigned)}: never negative, as if they were magnitudes; a moving robot's "
             "torques have both signs: export them with their signs"
         )
+    torque, other = "leave it out, for it is fitted as a reading", "check it"
     return [
-        f"{table.source}: column {name}: {value:g} in every row; that channel looks dead, check it"
+        f"{table.source}: column {name}: {value:g} in every row; that channel looks dead, "
+        f"{torque if name.startswith('tau') else other}"
         for name, value in dead_channels(table).items()
     ]
 

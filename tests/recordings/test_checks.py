@@ -321,6 +321,13 @@ def test_a_wrench_without_a_sensor_is_not_used(folder: Path) -> None:
     assert len(experiment.warnings) == 3 and all("no [sensor]" in warning for warning in experiment.warnings)
 
 
+def test_a_torque_of_zero_is_to_be_left_out(folder: Path) -> None:
+    for name in ("identification.csv", "static.csv", "validation.csv"):
+        table(lambda d: d.assign(tau1=d["fx"], tau2=0.0), name)(folder)
+    (told,) = (text for text in load_experiment(folder).warnings if text.startswith("validation.csv"))
+    assert "column tau2: 0 in every row" in told and "leave it out, for it is fitted as a reading" in told
+
+
 def test_nothing_is_repaired(folder: Path) -> None:
     table(freeze, "validation.csv")(folder)
     expected = pd.read_csv(folder / "validation.csv")
