@@ -94,8 +94,11 @@ def predict_readings(
     if covariance is not None:
         std = np.sqrt(np.maximum(np.einsum("ncp,pq,ncq->nc", matrix, covariance, matrix, optimize=True), 0.0))
         std[takes(matrix, unshown(covariance, undetermined))] = np.nan
-        if problem.at_rest:  # the model of poses has no parameters for what a motion takes beyond gravity
-            std[_beyond_poses(row_model, states)] = np.nan
+    if problem.at_rest:  # the model of poses has no parameters for what a motion takes beyond gravity
+        nominal, beyond = _beyond_poses(row_model, states)
+        std = np.where(beyond, np.nan, std)
+        if row_model.point is None:  # about a point, which has the nominal links, they are in the constant
+            values = values + np.where(beyond, nominal, 0.0)
     channels = row_model.channels
     return PredictedReadings(channels.names, channels.units, values, std, gravity)
 
@@ -119,14 +122,20 @@ def _columns(row_model: RowModel, times: np.ndarray, states: list[np.ndarray], g
     return matrix, nothing + channels.static_wrench if gravity else nothing
 
 
-def _beyond_poses(row_model: RowModel, states: list[np.ndarray]) -> np.ndarray:
-    """Whether readings (N, c) take parameters, such as inertias, that the base parameters of poses at rest do not hold."""
+def _beyond_poses(row_model: RowModel, states: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """What readings take of parameters, such as inertias, that the base parameters of poses at rest do not hold.
+
+    By the nominal links (N, c), and whether it is anything (N, c).
+    """
     base = row_model.base
     rows, changes = Kernel.of(row_model.robot, row_model.channels).dynamics(*states), null_space(base.matrix)
+    links = row_model.robot.nominal.ravel()
+    nominal = links - np.eye(len(links))[:, base.independent] @ (base.matrix @ links)
     if base.absorbed is not None:  # weight that is the same in every state is in the sensor's offset
         constant = np.broadcast_to(np.eye(rows.shape[1], len(base.absorbed)), (*rows.shape[:2], len(base.absorbed)))
-        rows, changes = np.concatenate([rows, constant], axis=2), np.concatenate([changes, -base.absorbed @ changes])
-    return takes(rows, changes)
+        rows = np.concatenate([rows, constant], axis=2)
+        nominal, changes = (np.concatenate([x, -base.absorbed @ x]) for x in (nominal, changes))
+    return rows @ nominal, takes(rows, changes)
 
 
 def _require_timeless(problem: Problem, states: list[np.ndarray], gravity: bool) -> None:

@@ -151,7 +151,10 @@ def test_poses_at_rest_predict_readings_at_rest_and_say_nothing_of_motions(resul
     poses = bayesid.identify(experiment(robot, [Motion("poses", "identification", table, kind="poses"), known["validation"]]))
     at_rest = poses.predict(q, still, still)
     assert np.isfinite(at_rest.std).all() and at_rest.std.max() < 0.1
-    assert np.isnan(poses.predict(q, rng.normal(size=q.shape), rng.normal(size=q.shape)).std).all()
+    v, a = rng.normal(size=(2, *q.shape))
+    in_motion = poses.predict(q, v, a)
+    assert np.isnan(in_motion.std).all()
+    assert np.abs(in_motion.values - inverse_dynamics(robot, q, v, a)).max() < 0.5  # the nominal links, which are the true ones
     (moving,) = poses.validation
     assert moving.relative_error > 0.1 and not poses.unusable
     (said,) = (w for w in poses.warnings if "'validation'" in w)
