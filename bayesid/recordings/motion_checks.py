@@ -176,8 +176,8 @@ def check_trajectory(table: Table, robot: Robot, resolution: float | None, held:
         )
     stalled = _stalled(table)
     warnings = [*_steps(table), *([] if held else _stalls(table, stalled))]
+    warnings += check_velocities(table, robot)
     for j in range(robot.n):
-        warnings += check_velocity(table, robot, j)
         warnings += _jumps(table, robot, j)
     warnings += _encoders(table, robot, stalled, resolution)
     for name, values in table.channels():
@@ -239,16 +239,35 @@ def _travel(table: Table, velocities: np.ndarray, j: int) -> tuple[np.ndarray, n
     return np.diff(table.positions[edges, j])[whole], np.diff(moved[edges])[whole]
 
 
-def check_velocity(table: Table, robot: Robot, j: int) -> list[str]:
-    """Compare a velocity column with the positions: how many times too fast it is; an `InputError` where its unit is another."""
+def check_velocities(table: Table, robot: Robot) -> list[str]:
+    """Compare velocities with the positions; an `InputError` where their unit is another."""
     if table.velocities is None:
         return []
+    scales = {j: scale for j in range(robot.n) if (scale := _velocity_scale(table, robot, j)) is not None}
+    wrong = {j: scale for j, scale in scales.items() if abs(scale - 1.0) > 0.2}
+    if len(wrong) == len(scales) > 1 and max(wrong.values()) < _NEAR * min(wrong.values()):  # of what is common to all joints
+        scale, names = float(np.median(list(wrong.values()))), columns_of([f"v{j + 1}" for j in wrong], 30)
+        return [
+            f"{table.source}: {names}: all {scale:.3g} times what the positions say, as where column t is {scale:.3g} times too "
+            f"long: a sample every {table.step / scale:.3g} s, not {table.step:.3g} s; correct t or the stated rate, or the unit "
+            "of all velocities"
+        ]
+    return [
+        f"{table.source}: column v{j + 1}: {scale:.3g} times what column q{j + 1} of {robot.joint_names[j]} says; check its unit "
+        "and the order of the columns, or leave the v columns out"
+        for j, scale in wrong.items()
+    ]
+
+
+def _velocity_scale(table: Table, robot: Robot, j: int) -> float | None:
+    """How many times too fast a velocity column is; None where its joint does not move, or an `InputError` as of another unit."""
+    assert table.velocities is not None
     by_position, by_velocity = _travel(table, table.velocities, j)
     weights = np.abs(by_position)
     place = f"{table.source}: column v{j + 1}"
     # What moved by half of its way at once jumped, such as a joint at rest whose first reading came after the first row.
     if not len(weights) or not 2e-3 <= weights.max() < 0.5 * weights.sum():
-        return []
+        return None
     if not table.velocities[:, j].any():
         raise InputError(f"{place}: 0 in every row although {robot.joint_names[j]} moves; leave the v columns out")
     # The scale that minimises the sum of absolute deviations: single jumps of an encoder do not count.
@@ -275,11 +294,9 @@ def check_velocity(table: Table, robot: Robot, j: int) -> list[str]:
     for factor, advice in known.items():
         if 1.0 / _NEAR < scale / factor < _NEAR:
             raise InputError(f"{fits}; {advice}")
-    if abs(scale - 1.0) <= 0.2:
-        return []
     if not 0.1 < scale < 10.0:
         raise InputError(f"{fits}; check the units of t, q and v and the order of the columns, or leave the v columns out")
-    return [f"{fits}; check its unit and the order of the columns, or leave the v columns out"]
+    return scale
 
 
 def _jumping(table: Table, j: int) -> np.ndarray:

@@ -18,7 +18,7 @@ from scipy.interpolate import make_interp_spline
 from bayesid.errors import BayesidWarning, InputError
 from bayesid.recordings.examination import check_positions
 from bayesid.recordings.experiment import Experiment, Motion
-from bayesid.recordings.motion_checks import check_velocity
+from bayesid.recordings.motion_checks import check_velocities
 from bayesid.recordings.table_reader import open_parquet, read_table
 from bayesid.robot.robot import Robot, motion_limits
 from bayesid.signals.smoothing import choose_smoother, smooth
@@ -242,7 +242,7 @@ def read_trajectory(
     still = table.velocities is not None and not v.any() and not a.any()
     doubts = check_positions(table, robot)
     if not still:
-        doubts += [text for j in range(robot.n) for text in check_velocity(table, robot, j)]
+        doubts += check_velocities(table, robot)
     for warning in doubts:
         warnings.warn(warning, BayesidWarning, stacklevel=2)
     parked = still and not np.ptp(positions, axis=0).any()

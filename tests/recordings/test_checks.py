@@ -164,6 +164,8 @@ DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("at rest but for its first row", table(late_reading, "validation.csv"), ("column q1: shoulder stands at 0.3 from 0.01",)),
     ("beyond a limit", table(beyond, "validation.csv"), ("column q2: elbow", "-2.5 to 2.5 rad", "its zero")),
     ("velocity off by 1.5", table(lambda d: d.assign(v1=1.5 * d["v1"])), ("column v1: 1.5 times", "q1 of shoulder")),
+    ("times 1.25 times too long", table(lambda d: d.assign(t=1.25 * d["t"]), "validation.csv"),
+     ("columns v1, v2: all 1.25 times", "column t is 1.25 times too long: a sample every 0.01 s, not 0.0125 s")),
     ("dead channel", table(lambda d: d.assign(my=0.25), "validation.csv"), ("column my: 0.25 in every row",)),
     ("one empty cell", cell(7, "fz", None), ("identification.csv: column fz: 1 row without a reading (line 9, 0.07 s)",)),
     ("nan in several columns", lambda f: cell(55, "mx", "nan")(f) or cell(70, "q1", "NaN")(f),
