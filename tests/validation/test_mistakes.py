@@ -25,7 +25,7 @@ from bayesid.validation.mistakes.candidates import candidates, of_wrench
 from bayesid.validation.mistakes.evidence import Change, Explainer, _non_negative, body_generators, independent_samples
 from bayesid.validation.mistakes.from_data import orders
 from bayesid.validation.mistakes.samples import low_passed
-from bayesid.validation.mistakes.search import MistakeSearch, find_mistakes
+from bayesid.validation.mistakes.search import MistakeSearch, find_mistakes, worded
 from tests.example_robots import Joint, Link, urdf_text
 from tests.robots import ROBOTS, lwr4, ur5, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -153,6 +153,17 @@ def test_the_line_says_what_by_how_much_and_what_to_do(tmp_path: Path) -> None:
     assert inspected.warnings[0] == found.text
     assert inspected.to_dict()["mistakes"][0]["name"] == "torque_sign"
     assert found.text in str(inspected)
+
+
+def test_fewer_numbers_that_explain_as_much_are_told_as_such(tmp_path: Path) -> None:
+    whole = arm(tmp_path)
+    samples = low_passed(whole, "torque")
+    assert samples is not None
+    explainer = Explainer(whole.robot, make_channels(whole, "torque"), samples)
+    any_bodies, nominal = explainer.fit()
+    alike = [(candidates(whole, "torque", samples)[0], replace(nominal, left=any_bodies.left))]
+    text = worded(whole, explainer, any_bodies, alike, 12.0).text
+    assert "the URDF's bodies, each times a factor, leave " in text and "falls from" not in text
 
 
 def test_a_thousandth_may_be_what_large_gears_leave_of_a_torque(tmp_path: Path) -> None:

@@ -47,11 +47,12 @@ def worded(
     """
     first, fit = alike[0]
     k = int(np.argmax(null.left / np.maximum(fit.left, explainer.floor)))
-    text = (
-        f"{first.says[0].upper()}{first.says[1:]}: with that undone, what no possible robot explains of "
-        f"{explainer.channels.names[k]} falls from {null.left[k]:.2g} to {fit.left[k]:.2g} {explainer.channels.units[k]} rms; "
-        f"{first.remedy}"
-    )
+    column, unit = explainer.channels.names[k], explainer.channels.units[k]
+    before, after = (f"{one.left[k]:.2g}" for one in (null, fit))
+    gain = f"what no possible robot explains of {column} falls from {before} to {after} {unit} rms"
+    if before == after and fit.family > null.family:  # fewer numbers explain as much
+        gain = f"the URDF's bodies, each times a factor, leave {after} {unit} rms of {column}; as recorded, only other bodies do"
+    text = f"{first.says[0].upper()}{first.says[1:]}: with that undone, {gain}; {first.remedy}"
     others = [f"{c.says} ({c.remedy})" for c, _ in alike[1 : _LISTED + 1]]
     if others:
         more = f"; or {len(alike) - 1 - _LISTED} more" if len(alike) > _LISTED + 1 else ""
