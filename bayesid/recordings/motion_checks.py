@@ -253,8 +253,8 @@ def check_velocities(table: Table, robot: Robot) -> list[str]:
             "of all velocities"
         ]
     return [
-        f"{table.source}: column v{j + 1}: {scale:.3g} times what column q{j + 1} of {robot.joint_names[j]} says; check its unit "
-        "and the order of the columns, or leave the v columns out"
+        f"{table.source}: column v{j + 1}: {scale:.3g} times what column q{j + 1} of {robot.joint_names[j]} says; check its "
+        "unit, whether t is the time of the samples, and the order of the columns, or leave the v columns out"
         for j, scale in wrong.items()
     ]
 
