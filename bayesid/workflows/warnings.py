@@ -204,12 +204,13 @@ def incomplete(dispersion: float | None, channels: Mapping[str, float] | None = 
     factor = (dispersion or 1.0) ** 0.5
     known = channels or {}
     most = sorted(known, key=lambda c: -known[c])[:2] if len(known) > 2 else []
+    size = f"{factor:.2g}"
+    wider = "hardly wider than" if size == "1" else f"{size} times as wide as"
     where = f", most in {' and '.join(most)}" if most else ""
-    wider = f" ({factor:.2g} times as wide as noise alone makes them{where})" if factor > 1.0 else ""
     return (
         "Something is missing in the model: the fit scatters more between parts of the recording, or between weightings, "
-        f"than noise explains. Intervals count the scatter{wider}; for motions unlike the fitted ones they do not hold. "
-        f"`{call('diagnose')}` looks for the missing effect."
+        f"than noise explains. Intervals count the scatter ({wider} noise alone makes them{where}); for motions unlike the "
+        f"fitted ones they do not hold. `{call('diagnose')}` looks for the missing effect."
     )
 
 

@@ -9,6 +9,7 @@ import pytest
 import bayesid
 from bayesid.cli import main
 from bayesid.workflows.demo import puma_two_joint_urdf
+from bayesid.workflows.warnings import incomplete
 
 
 @pytest.fixture(scope="module")
@@ -45,3 +46,8 @@ def test_doubts_about_the_robot_are_told_where_motions_are_made_of_it(tmp_path, 
     assert "mass 0 but an inertia: link link1" in capsys.readouterr().out
     planned = bayesid.excite(tmp_path, duration=2.0, period=2.0, starts=1, randoms=2, seconds=0.1)
     assert any("mass 0 but an inertia: link link1" in note for note in planned.notes)
+
+
+@pytest.mark.parametrize(("dispersion", "words"), [(1.02, "hardly wider than noise"), (4.0, "2 times as wide as noise")])
+def test_intervals_that_are_hardly_wider_are_not_1_time_as_wide(dispersion: float, words: str) -> None:
+    assert f"({words} alone makes them, most in tau2 and tau3)" in incomplete(dispersion, {"tau1": 1.0, "tau2": 1.3, "tau3": 1.2})
