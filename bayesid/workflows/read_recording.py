@@ -217,7 +217,7 @@ def _of_several(make: Callable[[Source], Recording], sources: Sequence[Source], 
     if nameless and not used >= names:
         if len(names) == 1 or any("{file}" in name for name in stated.names()):
             return ""
-        return f'In {argument("columns")}, "{{file}}" stands for the name of each file, such as in q={{file}}[0:6]'
+        return f'In {argument("columns")}, "{{file}}" stands for the name of each file, such as in q={{file}}[0:6] of six joints'
     return f"Together the files are one recording: {argument('join_files', True)} reads them so" if used else ""
 
 
