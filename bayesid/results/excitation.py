@@ -258,12 +258,12 @@ def _write_stops(run: StopAndGo, path: Path) -> None:
     DataFrame(columns).to_csv(path, index=False, float_format="%.9g")
 
 
-def telling_sentence(telling: Telling, file: str) -> str:
+def telling_sentence(telling: Telling) -> str:
     """What to record and what that will settle, or that no motion does."""
     t = telling
     if t.pairs and len(t.hopeless) == len(t.pairs):
         return _hopeless(t).lstrip()
-    text = f"Record {file} ({duration(t)}, {t.label}) and fit it together with these motions: "
+    text = f"Record {NEXT_MOTION} ({duration(t)}, {t.label}) and fit it together with these motions: "
     text += f"it decides between {listed_names(t.rivals)} with probability {chance(t.probability)}"
     text += "" if t.estimated else ", each at its usual size"
     return f"{text}.{_hopeless(t)}"

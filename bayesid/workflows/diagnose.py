@@ -38,7 +38,7 @@ from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel
 from bayesid.results.changes import Changes
 from bayesid.results.diagnosis import Diagnosis
-from bayesid.results.excitation import NEXT_MOTION, telling_sentence
+from bayesid.results.excitation import telling_sentence
 from bayesid.validation.own_fit import before_and_after
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.warnings import mistakes, of_recordings, of_reference
@@ -327,7 +327,7 @@ def _with_next_motion(result: Diagnosis, rivals: Sequence[str] | None, seed: int
         return replace(result, next_experiment=f"{result.next_experiment} No motion was planned: {error}.")
     if telling is None:
         return result
-    return replace(result, telling=telling, next_experiment=telling_sentence(telling, NEXT_MOTION))
+    return replace(result, telling=telling, next_experiment=telling_sentence(telling))
 
 
 def _with_description(result: Diagnosis, seed: int, progress: Progress) -> Diagnosis:

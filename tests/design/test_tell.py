@@ -354,7 +354,7 @@ def test_what_excite_tell_says_and_writes(diagnosis, robot, tmp_path):
     assert np.allclose(again.accelerations, diagnosis.telling.trajectory.accelerations, atol=1e-6)
     hopeless = replace(diagnosis.telling, pairs=tuple(replace(p, probability=0.0) for p in diagnosis.telling.pairs))
     assert "none tells tether@joint1 from tether@joint2" in str(replace(told, telling=hopeless))
-    assert "another sensor or channel may" in telling_sentence(hopeless, "next_motion.csv")
+    assert "another sensor or channel may" in telling_sentence(hopeless)
 
 
 def test_limits_that_leave_no_room_cost_the_motion_and_not_the_diagnosis(diagnosis, monkeypatch):

@@ -64,10 +64,10 @@ def largest_deviation(std: np.ndarray, deviations: np.ndarray) -> np.ndarray:
     return np.abs(deviations[:, used] * (1.0 / std[used])).max(axis=1, initial=0.0)
 
 
-def normal_deviations(covariance: np.ndarray, count: int, seed: int) -> np.ndarray:
-    """Draws of N(0, V), (count, k)."""
+def normal_deviations(covariance: np.ndarray, seed: int) -> np.ndarray:
+    """Draws of N(0, V), (`NORMAL_DRAWS`, k)."""
     root = root_of(covariance)
-    return np.random.default_rng([seed, 11]).normal(size=(count, root.shape[1])) @ root.T
+    return np.random.default_rng([seed, 11]).normal(size=(NORMAL_DRAWS, root.shape[1])) @ root.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class Region:
 
     def deviations(self, seed: int = 0) -> np.ndarray:
         """Draws of the parameters less their centre (n, k), those it was made of or of its normal law."""
-        return normal_deviations(self.covariance, NORMAL_DRAWS, seed) if self.draws is None else self.draws
+        return normal_deviations(self.covariance, seed) if self.draws is None else self.draws
 
     def distance(self, values: np.ndarray) -> float:
         """Mahalanobis distance of parameters (k,) from the centre; in the ellipsoid where at most ``ellipsoid``."""
@@ -203,7 +203,7 @@ def region_of_normal(
     seed: int = 0,
 ) -> Region:
     """The sets of a normal law; of ``undetermined`` parameters (k,) alone it says nothing."""
-    away = normal_deviations(covariance, NORMAL_DRAWS, seed)
+    away = normal_deviations(covariance, seed)
     count = root_of(covariance).shape[1]
     std = np.where(undetermined, 0.0, standard_deviations(covariance))
     largest = largest_deviation(std, away)

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from bayesid.diagnosis.changes.evidence import Amplitudes, Marginal, amplitudes, expected_gain
-from bayesid.diagnosis.changes.held_out import HeldOutErrors, Place, held_out_errors
+from bayesid.diagnosis.changes.held_out import HeldOutErrors, held_out_errors
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
 from bayesid.diagnosis.changes.recording import LaterRecording, chosen_bandwidth, read_recording
 from bayesid.diagnosis.changes.reference import Reference, learn_reference
@@ -177,11 +177,6 @@ class ReferenceComparison:
         if s.factor > 1.0:
             return f"links and friction of all joints, {s.factor:g} times as far from the reference as is usual"
         return None
-
-    @property
-    def places(self) -> tuple[Place, ...]:
-        """Where recording and reference disagree most."""
-        return self.errors.places
 
 
 def compare_with_reference(

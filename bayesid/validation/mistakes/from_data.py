@@ -21,6 +21,7 @@ from bayesid.validation.mistakes.candidates import Candidate, Mistake, along, or
 from bayesid.validation.mistakes.evidence import (
     AS_RECORDED,
     EXPLAINED,
+    NEEDED,
     UNEXPLAINED,
     WORSE,
     Change,
@@ -124,11 +125,11 @@ def _assigned(costs: np.ndarray, usual: _Order, free: Sequence[int]) -> _Order:
     return tuple(out)
 
 
-def other_zeros(explainer: Explainer, worth: float, needed: float, further: float) -> list[Candidate]:
+def other_zeros(explainer: Explainer, worth: float, needed: float) -> list[Candidate]:
     """Zeros that are a quarter or half a turn off, as those of Denavit and Hartenberg's angles are beside a URDF's.
 
     One joint after the other is turned, the one that gains most first; the first must gain what is ``needed`` [nats]. Where one
-    joint counts from such a zero, others are likely to: each ``further`` one must gain that much, and the residual of a column
+    joint counts from such a zero, others are likely to: each further one must gain `NEEDED`, and the residual of a column
     most of which is trusted counts down to its own floor, however small it is beside others: there a wrist's zero shows.
     """
     robot, names = explainer.robot, explainer.robot.joint_names
@@ -144,7 +145,7 @@ def other_zeros(explainer: Explainer, worth: float, needed: float, further: floa
             found = [zeros(names, turn * units[j]) for j, turn in turns]
             changes = [c for c in changes if explainer.highest_score(c, worth) - now > needed]
         scores = [max(fit.score(worth, floor) for fit in explainer.fit(c)) - now for c in changes]
-        if max(scores, default=0.0) < (further if count else needed):
+        if max(scores, default=0.0) < (NEEDED if count else needed):
             break
         likeliest = changes[int(np.argmax(scores))].zeros
         assert likeliest is not None

@@ -251,7 +251,7 @@ def searched(experiment: Experiment, explainer: Explainer, channel: str) -> Mist
     if search.worth_going_on:
         search.try_out(orders(explainer, search.doubted))
     if search.worth_going_on:
-        search.try_out(other_zeros(explainer, search.worth, search.needed, NEEDED))
+        search.try_out(other_zeros(explainer, search.worth, search.needed))
     if search.worth_going_on and explainer.torque:
         search.try_out(by_joint(explainer, search.worth))
     if search.worth_going_on:
