@@ -247,10 +247,10 @@ def check_velocities(table: Table, robot: Robot) -> list[str]:
     wrong = {j: scale for j, scale in scales.items() if abs(scale - 1.0) > 0.2}
     if len(wrong) == len(scales) > 1 and max(wrong.values()) < _NEAR * min(wrong.values()):  # of what is common to all joints
         scale, names = float(np.median(list(wrong.values()))), columns_of([f"v{j + 1}" for j in wrong], 30)
+        wrong_by = f"{scale:.3g} times too long" if scale > 1.0 else f"{1.0 / scale:.3g} times too short"
         return [
-            f"{table.source}: {names}: all {scale:.3g} times what the positions say, as where column t is {scale:.3g} times too "
-            f"long: a sample every {table.step / scale:.3g} s, not {table.step:.3g} s; correct t or the stated rate, or the unit "
-            "of all velocities"
+            f"{table.source}: {names}: all {scale:.3g} times what the positions say, as where column t is {wrong_by}: a sample "
+            f"every {table.step / scale:.3g} s, not {table.step:.3g} s; correct t or the stated rate, or the velocities' unit"
         ]
     return [
         f"{table.source}: column v{j + 1}: {scale:.3g} times what column q{j + 1} of {robot.joint_names[j]} says; check its "

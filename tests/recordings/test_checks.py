@@ -167,6 +167,8 @@ DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
      ("column v1: 1.5 times", "q1 of shoulder", "whether t is")),
     ("times 1.25 times too long", table(lambda d: d.assign(t=1.25 * d["t"]), "validation.csv"),
      ("columns v1, v2: all 1.25 times", "column t is 1.25 times too long: a sample every 0.01 s, not 0.0125 s")),
+    ("times 2 times too short", table(lambda d: d.assign(t=0.5 * d["t"]), "validation.csv"),
+     ("columns v1, v2: all 0.5 times", "column t is 2 times too short: a sample every 0.01 s, not 0.005 s")),
     ("dead channel", table(lambda d: d.assign(my=0.25), "validation.csv"), ("column my: 0.25 in every row",)),
     ("one empty cell", cell(7, "fz", None), ("identification.csv: column fz: 1 row without a reading (line 9, 0.07 s)",)),
     ("nan in several columns", lambda f: cell(55, "mx", "nan")(f) or cell(70, "q1", "NaN")(f),
