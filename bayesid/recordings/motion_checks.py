@@ -330,9 +330,9 @@ def _speeds(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
     return np.abs(positions[after] - positions[before]).T / (times[after] - times[before])
 
 
-def _moving(times: np.ndarray, positions: np.ndarray, share: float) -> np.ndarray:
+def _moving(table: Table, share: float) -> np.ndarray:
     """Return (N,): whether any joint moves faster than this share of its usual top speed."""
-    speeds = _speeds(times, positions)  # (n, N)
+    speeds = _speeds(table.times, table.positions)  # (n, N)
     return np.any(speeds > np.maximum(share * np.quantile(speeds, 0.95, axis=1, keepdims=True), 1e-12), axis=0)
 
 
@@ -345,21 +345,13 @@ def _stalled(table: Table) -> np.ndarray:
 
 
 def stalls(times: np.ndarray, positions: np.ndarray, repeated: np.ndarray) -> list[tuple[int, int]]:
-    """Runs of repeated rows (N,) that are not simply a robot at rest.
+    """Runs of repeated rows (N,) that are not simply a robot at rest: it moves with the steps just before and just after them.
 
-    It moves just before and just after them, or with the last step before those that a recording ends with.
+    At the end of a recording the step before is all there is.
     """
-    moving, last = _moving(times, positions, _SLOW), len(times) - 1
     slow = _SLOW * np.quantile(_speeds(times, positions), 0.95, axis=1)
-    out = []
-    for a, b in runs(repeated):
-        if b <= last:
-            stalled = moving[max(a - 1 - _WINDOW, 0)] and moving[min(b + _WINDOW, last)]
-        else:
-            stalled = a > 1 and np.any(np.abs(positions[a - 1] - positions[a - 2]) > slow * (times[a - 1] - times[a - 2]))
-        if stalled:
-            out.append((a, b))
-    return out
+    fast = np.append(False, np.any(np.abs(np.diff(positions, axis=0)) > slow * np.diff(times)[:, None], axis=1))
+    return [(a, b) for a, b in runs(repeated) if fast[a - 1] and (b == len(times) or fast[b])]
 
 
 def _stalls(table: Table, stalled: np.ndarray) -> list[str]:
@@ -491,7 +483,7 @@ def _clipped(table: Table, name: str, values: np.ndarray) -> list[str]:
         held = [(a, b) for a, b in runs(values == extreme) if b - a >= 5]
         if not held:
             continue
-        moving = _moving(table.times, table.positions, 0.05) if moving is None else moving
+        moving = _moving(table, 0.05) if moving is None else moving
         places = [
             (a, b)
             for a, b in held

@@ -217,7 +217,7 @@ def test_old_samples_at_the_times_of_new_ones_are_left_out(known, tmp_path):
     """A logger that now and then reads before the robot has written, and stalls in the end; a robot at rest repeats rows, too."""
     frame = by_joint(known, time=known.t).iloc[:900]
     rest, old = np.arange(400, 500), np.concatenate([np.arange(20, 380, 6), np.arange(880, 900)])
-    speed = np.interp(frame.index, [0, 380, 399, 500, 520], [1.0, 1.0, 0.0, 0.0, 1.0])  # slows down to a rest, and goes on
+    speed = np.interp(frame.index, [0, 390, 396, 500, 506], [1.0, 1.0, 0.0, 0.0, 1.0])  # slows down to a rest, and goes on
     at = np.cumsum(speed) * (known.t[1] - known.t[0])
     for column in frame.columns[1:]:
         frame[column] = np.interp(at, known.t, by_joint(known)[column])
@@ -308,7 +308,7 @@ def test_the_names_of_files_without_names_of_columns_stand_in_one_mapping(known,
     both = np.hstack([known.q, known.tau])
     np.savetxt(files[0], both, delimiter=",")
     np.save(files[1], both[:900])
-    hint = r'In columns, "\{file\}" stands for the name of each file, such as in q=\{file\}\[0:6\]$'
+    hint = r'In columns, "\{file\}" stands for the name of each file, such as in q=\{file\}\[0:6\] of six joints$'
     for columns in ({}, {"q": "first[0:2]", "tau": "first[2:4]"}):
         with pytest.raises(InputError, match=hint):
             bayesid.read_recording(files, known.urdf, joints=JOINTS, columns=columns, rate=100)
