@@ -548,7 +548,7 @@ def _predictions(listed: Sequence[Mapping[str, Any]], *, fitted: bool = False) -
                 d["motion"], d["role"], names, ("",) * len(names), none[:, 0], none, none, rmse, rmse_raw, nrmse, nrmse_raw,
                 d["whitened_rms"], whitened, d["interval_coverage"], d["expected_rms"], d["noise_source"], d["repeats"],
                 flexible=None if (gap := d.get("flexible_model")) is None else FlexibleGap(gap["removed"], gap["std"]),
-                fitted=fitted,
+                fitted=fitted, largest_rms=d.get("largest_rms"),
             )
         )  # fmt: skip
     return tuple(out)

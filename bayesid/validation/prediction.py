@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.signal import butter, correlate, sosfiltfilt, welch
+from scipy.stats import chi2
 
 from bayesid.arguments import call
 from bayesid.estimators import Estimate
@@ -24,7 +25,7 @@ from bayesid.regression.parallel import both, in_order
 from bayesid.regression.problem import Problem, elsewhere
 from bayesid.regression.row_cache import few_of, row_count
 from bayesid.regression.segment import Segment
-from bayesid.rounding import number
+from bayesid.rounding import LEVEL, number
 from bayesid.signals.noise import NoiseModel, noise_of_group
 from bayesid.validation.flexible import BAND, FlexibleGap
 from bayesid.validation.noise_floor import RESIDUALS, NoiseFloor, noise_floor, pose_floor
@@ -92,6 +93,9 @@ class Prediction:
     fitted: bool = False  # whether the estimate was fitted to this motion
     biased: bool = False  # whether the estimate has no covariance, as it is biased by nobody knows how much
     beyond: bool = False  # whether it moves, and the fitted poses at rest show gravity alone
+    #: What ``whitened_rms`` of a complete model stays below with probability 95 %, as far as its parameters go: a few uncertain
+    #: ones err together, far more or less than they do on average. None where that is not known: then ``expected_rms`` counts.
+    largest_rms: float | None = None
 
     @property
     def noise_known(self) -> bool:
@@ -154,6 +158,7 @@ class Prediction:
             "whitened_rms": float(self.whitened_rms),
             "whitened_rms_by_channel": by_channel(self.whitened_rms_by_channel),
             "expected_rms": float(self.expected_rms),
+            "largest_rms": float(self.largest_rms or self.expected_rms),
             "noise_source": self.noise_source,
             "interval_coverage": float(self.coverage),
             "flexible_model": None if self.flexible is None else self.flexible.to_dict(),
@@ -198,7 +203,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
     pick = slice(None, None, max(-(-len(y) // _PLOTTED), 1))
     if all(r.poses for r in moving):
         floor = pose_floor(problem, moving, estimate.solution)
-    by_channel, expected, coverage, spectrum = _whitened(problem, estimate, motion.name, moving)
+    by_channel, expected, largest, coverage, spectrum = _whitened(problem, estimate, motion.name, moving)
     if floor is not None:
         by_channel = floor.ratio(residuals, float(np.median(np.diff(times[0]))), BAND)
     scale, rmse = (np.sqrt(_squares(values) / len(values)) for values in (y, all_error))
@@ -218,6 +223,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
         whitened_rms_by_channel=by_channel,
         coverage=coverage,
         expected_rms=expected,
+        largest_rms=largest,
         noise_source=RESIDUALS if floor is None else floor.source,
         repeats=repeated(problem.experiment, motion, problem.fitted),
         poses=all(r.poses for r in moving),
@@ -270,8 +276,11 @@ def _squares(values: np.ndarray) -> np.ndarray:
 
 def _whitened(
     problem: Problem, estimate: Estimate, motion: str, segments: list[Segment]
-) -> tuple[np.ndarray, float, float, ResidualSpectrum | None]:
-    """Root mean square of residual rows over the fit's noise (c,), what is expected, share inside 95 % intervals, spectrum."""
+) -> tuple[np.ndarray, float, float, float, ResidualSpectrum | None]:
+    """Root mean square of residual rows over the fit's noise (c,), and what a complete model leaves: on average, and at most.
+
+    Then the share inside 95 % intervals, and the spectrum.
+    """
     group = "poses" if all(s.poses for s in segments) else "trajectory"
     noise = {group: noise_of_group(estimate.noise, group)}
     blocks = (block for block in problem.rows.blocks([motion]) if block.group == group)
@@ -285,14 +294,16 @@ def _whitened(
             yield block
 
     # How sure the prediction of a row is changes little along a motion: evenly spread rows of a long one tell it. All are read.
-    parts = []
+    parts, gram = [], np.zeros(())
     for block, white in whitened(few_of(noted(), row_count(problem.row_model, segments)), noise):
         for panel in replace(block, rows=white).panels():
             x = panel.rows.reshape(-1, white.shape[2])
             share = np.zeros(len(x)) if covariance is None else np.maximum(np.sum(x @ covariance * x, axis=1), 0.0)
             parts.append(share.reshape(panel.rows.shape[:2]))
+            gram = gram + x.T @ x
     variance, residual = np.concatenate(parts), np.concatenate([white for _, white in whitened(left, noise)])
-    expected = float(np.sqrt(1.0 + variance.mean()))
+    mean = float(variance.mean())
+    expected, largest = (float(np.sqrt(1.0 + share)) for share in (mean, mean * _largest_over_mean(covariance, gram)))
     if len(variance) < len(residual):
         variance = variance.mean(axis=0)
     inside = float(np.mean(np.abs(residual) <= 1.959964 * np.sqrt(1.0 + variance)))
@@ -302,7 +313,19 @@ def _whitened(
     if group == "trajectory":
         rate = 1.0 / float(np.median(np.diff(next(r.times for r in segments if not r.poses))))
         spectrum = _spectrum(raw, noise["trajectory"], problem.row_model.step, rate, problem.row_model.filters is not None)
-    return channels, expected, inside, spectrum
+    return channels, expected, largest, inside, spectrum
+
+
+def _largest_over_mean(covariance: np.ndarray | None, gram: np.ndarray) -> float:
+    """95 % quantile of what errors of parameters (p, p) add to the power of rows, by their Gram matrix (p, p), over its mean.
+
+    A sum of squares of normal numbers, as many and as unequal as the directions that the errors have in the rows: a chi-squared
+    law with the same mean and variance [Satterthwaite1946]_.
+    """
+    share = np.zeros((1, 1)) if covariance is None else covariance @ gram
+    square = float(np.sum(share * share.T))
+    degrees = float(np.trace(share)) ** 2 / square if square > 0.0 else np.inf
+    return float(chi2.ppf(LEVEL, degrees) / degrees) if np.isfinite(degrees) else 1.0
 
 
 def _spectrum(
@@ -386,7 +409,8 @@ def judged(prediction: Prediction) -> Judgement:
     worst = int(np.argmax(prediction.nrmse))
     share = float(prediction.nrmse[worst])
     wrong = f"; {prediction.channel_names[worst]} is wrong by {100 * share:.0f} % of its signal" if share > _NAMED else ""
-    if prediction.beyond and (prediction.noise_source == RESIDUALS or white > TOLERATED * prediction.expected_rms):
+    largest = TOLERATED * (prediction.largest_rms or prediction.expected_rms)
+    if prediction.beyond and (prediction.noise_source == RESIDUALS or white > largest):
         return Judgement("fair", "it moves, and poses at rest, which are all that is fitted, show nothing of inertias")
     if prediction.noise_source == RESIDUALS:
         # The only noise at hand is what the fit left over: it cannot tell model error from noise.
@@ -394,7 +418,7 @@ def judged(prediction: Prediction) -> Judgement:
         return Judgement(
             mood, f"the sensor's own noise is not known here, so nothing says how much of that is missing in the model{wrong}"
         )
-    if white <= TOLERATED * prediction.expected_rms:
+    if white <= largest:
         if worse_than_nothing(error):
             text = "no prediction at all would be closer, though sensors' noise and what encoders' errors make of it are as large"
             return Judgement("fair", text)
@@ -408,6 +432,9 @@ def judged(prediction: Prediction) -> Judgement:
             )
             return Judgement("fair", text)
         where = f", though {prediction.channel_names[worst]} holds little but noise" if share > _NAMED else ""
+        if white > TOLERATED:
+            text = f"what is left, {white:.3g} times the sensor's noise, is what noise and uncertain parameters leave{where}"
+            return Judgement("good", text)
         return Judgement("good", f"what is left is the sensor's noise ({white:.3g} times){where}")
     times, missing = f"{white:.3g} times the sensor's noise", "something is missing in the model"
     if prediction.biased:

@@ -13,10 +13,10 @@ from bayesid.robot.robot import load_robot
 from bayesid.signals.filters import LowPass
 from bayesid.validation.agreement import Agreement
 from bayesid.validation.noise_floor import noise_floor
-from bayesid.validation.prediction import Prediction, judged, over_noise, useless, worse_than_nothing
+from bayesid.validation.prediction import Prediction, _largest_over_mean, judged, over_noise, useless, worse_than_nothing
 from bayesid.workflows.warnings import contradictions, repeated_motions, unpredicted
 from tests.robots import ur5, write
-from tests.simulated import Motion, Sensor, experiment, fourier, recording
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 FORCE, TORQUE = 0.5, 0.1
 
@@ -177,3 +177,27 @@ def test_one_line_a_kind_of_warning():
     # Friction of another day sets estimates apart, too, and a comparison with a reference allows for it.
     assert "what the model lacks" in first and "friction and gains" in first and "with reference" in first
     assert contradictions(apart[:1])[0].count("m50") == 1
+
+
+def test_uncertain_parameters_are_not_something_that_is_missing(tmp_path):
+    """Of a complete model that was fitted to 1.6 s, errors of few parameters, all at once, are far from their average."""
+    robot = puma2(tmp_path)
+    for seed in range(12):
+        motions = [
+            Motion(role, role, recording(robot, None, fourier(robot, k, duration=d), seed=7 * seed + k, torque_std=0.3))
+            for k, role, d in ((1, "identification", 1.6), (2, "validation", 8.0))
+        ]
+        (found,) = bayesid.identify(experiment(robot, motions)).validation
+        assert judged(found).mood == "good" and found.largest_rms > 1.1 * found.expected_rms
+        if found.whitened_rms > 1.15:
+            assert "uncertain parameters" in judged(found).text
+
+
+def test_the_largest_residual_of_a_complete_model_is_that_of_its_draws():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(6, 6)) * [1.0, 1.0, 1.0, 1.0, 0.1, 0.1]
+    rows = rng.normal(size=(200, 6)) * [1.0, 0.5, 0.2, 0.1, 0.1, 0.1]
+    power = np.mean((rng.normal(size=(20_000, 6)) @ root.T @ rows.T) ** 2, axis=1)
+    found = _largest_over_mean(root @ root.T, rows.T @ rows)
+    assert found == pytest.approx(np.quantile(power, 0.95) / power.mean(), rel=0.05) and found > 1.5
+    assert _largest_over_mean(None, rows.T @ rows) == 1.0
