@@ -23,6 +23,8 @@ from bayesid.regression.parallel import in_order
 #: Proposals fitted exactly in one round, in the place of an effect that was chosen from as many before, and of one kind at most;
 #: kinds fitted at all joints at once. More find nothing else, and cost time.
 _FITTED, _EXCHANGED, _ALIKE, _FAMILIES = 8, 4, 3, 3
+#: Models with another effect in the place of one found that are tried with one effect more.
+_AHEAD = 2
 #: Exact fits race: those that have gained less than this share of the best one's gain after a few steps are given up.
 _BEHIND = 0.2
 
@@ -52,28 +54,36 @@ def forward_selection(state: State, progress: Callable[[str], None], first: Sequ
 
     ``progress`` is called with the name of every phase; ``first`` are proposals beside the best model, if made already.
     """
-    settings = state.settings
-    state = measured_dispersion(state)
+    state, rivals = measured_dispersion(state), list[Fit]()
     while True:
         progress("naming what is missing")
-        models, better = _one_more(state, first)
-        first = None
-        state = replace(state, models=models)
-        if better is None:
-            break
-        # Small gains that leave much unexplained are surrogates, of an unmodelled effect or of what effects found are inexact by:
-        # nothing would come of more of them.
-        before, after = (f.chi2 / f.projector.rows - 1.0 for f in (state.best, better))
-        surrogate = after > settings.unexplained - 1.0 and after > settings.nearly_all * before
-        if surrogate and len(state.best.terms) > state.known:
-            break
+        models, fits = _with_one_more(state, first)
+        first, state = None, replace(state, models=models)
+        enough = state.best.score + state.settings.accept * state.dispersion
+        better = fits[0] if fits and fits[0].score >= enough else None
+        surrogate = better is not None and _is_surrogate(state, better)
+        if better is None or (surrogate and len(state.best.terms) > state.known):
+            models, better = _two_for_one(state, rivals)
+            fits, surrogate, state = [], False, replace(state, models=models)
+            if better is None:
+                break
         state = replace(state, best=better)
         if surrogate:
             break
-        state = measured_dispersion(_exchanged(state))
+        state, others = _exchanged(state)
+        state, rivals = measured_dispersion(state), [*others, *(f for f in fits if f is not better)]
         if too_many_to_name(state):  # nothing would be named, however many more came in
             break
     return state
+
+
+def _is_surrogate(state: State, better: Fit) -> bool:
+    """Whether one effect more gains little and leaves much unexplained.
+
+    It stands in for an unmodelled effect or for what the effects found are inexact by: nothing would come of more of them.
+    """
+    before, after = (f.chi2 / f.projector.rows - 1.0 for f in (state.best, better))
+    return after > state.settings.unexplained - 1.0 and after > state.settings.nearly_all * before
 
 
 def too_many_to_name(state: State) -> bool:
@@ -87,8 +97,8 @@ def measured_dispersion(state: State) -> State:
     return replace(state, models=models, dispersion=library.dispersion(state.best))
 
 
-def _one_more(state: State, first: Sequence[Proposal] | None) -> tuple[NoiseModels, Fit | None]:
-    """The best exact fit with one effect more, or with one kind of effect at several joints, if the data demand it."""
+def _with_one_more(state: State, first: Sequence[Proposal] | None) -> tuple[NoiseModels, list[Fit]]:
+    """Exact fits with one effect more, or with one kind of effect at several joints, best first."""
     best, dispersion = state.best, state.dispersion
     models, library = state.models.library(best)
     proposals = library.propose(best) if first is None else first
@@ -98,10 +108,25 @@ def _one_more(state: State, first: Sequence[Proposal] | None) -> tuple[NoiseMode
     for terms in _families(library, proposals, dispersion):
         models, fitted = models.own(fit(best.projector, (*best.terms, *terms), best))
         fits.append(fitted)
-    top = max(fits, key=lambda f: f.score, default=None)
-    if top is None:
-        return models, None
-    return models, top if top.score - best.score >= state.settings.accept * dispersion else None
+    return models, sorted(fits, key=lambda f: -f.score)
+
+
+def _two_for_one(state: State, rivals: Sequence[Fit]) -> tuple[NoiseModels, Fit | None]:
+    """The best of the rivals of the best model with one effect more, if the data demand two effects for one.
+
+    Two effects may look like a third, which hides both: Coulomb friction that is higher near zero speed looks like friction that
+    falls with speed, beside which neither is missed.
+    """
+    models, least = state.models, state.best.score + state.settings.accept * state.dispersion
+    for rival in sorted(rivals, key=lambda f: -f.score)[:_AHEAD]:
+        models, library = models.library(rival)
+        proposals = library.propose(rival)
+        if rival.score + 0.5 * max((p.gain for p in proposals), default=0.0) < least:
+            continue
+        models, fits = _with_one_more(replace(state, models=models, best=rival), proposals)
+        if fits and fits[0].score >= least:
+            return models, fits[0]
+    return models, None
 
 
 def _families(library: Library, proposals: Sequence[Proposal], dispersion: float) -> list[tuple[Term, ...]]:
@@ -186,13 +211,14 @@ def _shortlist(proposals: Sequence[Proposal], dispersion: float, settings: Setti
     return kept
 
 
-def _exchanged(state: State) -> State:
-    """Each effect found against its rivals, the others held, until no exchange is for the better.
+def _exchanged(state: State) -> tuple[State, list[Fit]]:
+    """Each effect found against its rivals, the others held, until no exchange is for the better; and models with these rivals.
 
     An effect with a shape (a contact's time and point, a tether's anchor) is its own rival, too: beside other effects
     it may start better than where it first settled.
     """
     models, best, dispersion = state.models, state.best, state.dispersion
+    others = list[Fit]()
     stays: dict[Effect, Fit] = {}  # by effect that was no worse than its rivals, the model in which it was asked
     for _ in range(SWEEPS):
         before = best
@@ -207,12 +233,13 @@ def _exchanged(state: State) -> State:
             rivals = [p for p in library.propose(without) if p.name != own.effect.spec or len(own.effect.shape) > 1]
             models, fits = exact_fits(models, without, held, rivals, dispersion, _EXCHANGED)
             if fits and fits[0].score > best.score + dispersion:
-                best = fits[0]
+                best, fits = fits[0], [best, *fits[1:]]
             else:
                 stays[own.effect] = best
+            others += fits
         if best is before:
             break
-    return replace(state, models=models, best=best)
+    return replace(state, models=models, best=best), others
 
 
 def in_family(terms: Sequence[Term], index: int) -> bool:

@@ -62,6 +62,19 @@ def test_it_is_found_and_named_alone(bench, spec, others):
     assert abs(got - truth) < 4.0 * std and std < 0.3 * truth
 
 
+@pytest.mark.parametrize(("level", "extra"), [(0.3, 0.4), (1.0, 1.5)])
+def test_two_kinds_of_friction_in_a_joint_are_not_taken_for_a_third(bench, level, extra):
+    """Coulomb friction that is higher near zero speed looks like friction that falls with speed, which hides both."""
+    setup, motions, _ = bench
+    hidden = {"coulomb_friction@joint2": {"level": level}, "stribeck_friction@joint2": {"level": extra, "velocity": 0.1}}
+    recorded = bayesid.simulate(replace(setup, effects=()), motions, effects=hidden, perturb=0.03, seed=6)
+    found = diagnose(recorded, "torque")
+    assert found.verdict == "named" and {f.term.effect.spec for f in found.found} == set(hidden)
+    for own in found.found:
+        truth = np.array(list(hidden[own.term.effect.spec].values()))
+        assert (np.abs(np.array(own.term.values) - truth) < 4.0 * own.std).all()
+
+
 @pytest.mark.slow
 def test_a_coupling_that_nobody_stated_is_named(tmp_path):
     """A wrist whose motor 6 turns with joint 5: found from one whole turn for another, in the wrench, where its links show."""
