@@ -131,24 +131,6 @@ def _in_part(search: Search, reason: Reason) -> list[str]:
     return [f"Named in part{still}: {why}."] if why else []
 
 
-def _constant_spring(term: Term, positions: np.ndarray) -> list[str]:
-    """That a spring whose rest lies far beyond the motion (N, n) pulls with a torque that hardly changes."""
-    effect = term.effect
-    if effect.name != "spring":
-        return []
-    (stiffness, rest), own = term.values, positions[:, effect.joint]
-    low, high = float(own.min()), float(own.max())
-    away = 0.5 * (low + high) - rest
-    if abs(away) <= high - low:  # over the motion it changes by at least its mean
-        return []
-    unit = effect.units[1]
-    torque = f"{stiffness * away:.3g} {effect.units[0].removesuffix('/' + unit)}"
-    return [
-        f"{effect.spec}: the rest lies beyond the motion, {low:.3g} to {high:.3g} {unit}, over which it is a torque of {torque} "
-        f"that changes by {stiffness * (high - low):.3g}: mostly what torque_offset is, and the rest means little."
-    ]
-
-
 def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> list[str]:
     """Remarks on the effects in and beside the model, and how the readings are taken."""
     data, out = search.projector.data, []
@@ -174,7 +156,7 @@ def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> li
     if data.instants:
         out.append("Readings fit better as values at their times than as means over a sample's time, so they are taken for that.")
     positions = np.vstack([s.trajectory.positions for s in data.segments])
-    out += [sentence for f in found for sentence in (*_at_an_end(f.term), *_constant_spring(f.term, positions))]
+    out += [sentence for f in found for sentence in (*_at_an_end(f.term), *f.term.caveats(positions))]
     hidden = gap is not None and not gap.closed_low > 0.0
     if found and hidden and all(f.term.effect.changes_link for f in found):
         count = search.projector.root.shape[1]

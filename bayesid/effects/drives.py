@@ -180,6 +180,18 @@ class Spring(JointTorqueEffect):
     def torque(self, motion, values):
         return values[0] * (motion.position - values[1])
 
+    def caveat(self, values, positions):
+        low, high = float(positions.min()), float(positions.max())
+        away = 0.5 * (low + high) - values[1]
+        if abs(away) <= high - low:  # over the motion it changes by at least its mean
+            return ""
+        unit = self.units[1]
+        torque = f"{values[0] * away:.3g} {self.units[0].removesuffix('/' + unit)}"
+        return (
+            f"the rest lies beyond the motion, {low:.3g} to {high:.3g} {unit}, over which it is a torque of {torque} that "
+            f"changes by {values[0] * (high - low):.3g}: mostly what torque_offset is, and the rest means little."
+        )
+
     def linearisations(self, around):
         # k (q - q0) is linear in k and k q0, whose columns are the derivatives at k = 1, q0 = 0.
         at = np.array([1.0, 0.0])

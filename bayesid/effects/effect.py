@@ -191,6 +191,10 @@ class Effect(ABC):
         """What follows from parameters (k,) and is told beside them, with standard deviations by their covariance (k, k)."""
         return ()
 
+    def caveat(self, values: Sequence[float], positions: np.ndarray) -> str:
+        """What to know of such values (k,) where its joint was at some positions (N,); empty where that is nothing."""
+        return ""
+
     @property
     def non_negative(self) -> tuple[bool, ...]:
         """Whether a negative value is impossible, by parameter."""
@@ -311,6 +315,11 @@ class Term:
         object.__setattr__(self, "values", tuple(float(v) for v in self.values))
         if len(self.values) != len(self.effect.parameters):
             raise ValueError(f"{self.effect.spec} has {len(self.effect.parameters)} parameters, not {len(self.values)}")
+
+    def caveats(self, positions: np.ndarray) -> list[str]:
+        """What to know of the values where the joints were at some positions (N, n), a sentence each."""
+        said = "" if self.effect.joint is None else self.effect.caveat(self.values, positions[:, self.effect.joint])
+        return [f"{self.effect.spec}: {said}"] if said else []
 
     def with_std(self, std: np.ndarray) -> list[Derived]:
         """Name, value, standard deviation, of these (k,), and unit of every parameter."""

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from bayesid.diagnosis.remarks import _at_an_end, _constant_spring, _of_the_links, moment_sentence
+from bayesid.diagnosis.remarks import _at_an_end, _of_the_links, moment_sentence
 from bayesid.diagnosis.stability import Moment, Stability
 from bayesid.effects import Term
 from bayesid.effects.drives import Spring
@@ -58,8 +58,8 @@ def test_a_value_at_an_end_of_its_range_is_told():
 
 def test_a_spring_whose_rest_is_far_beyond_the_motion_is_mostly_an_offset():
     positions = np.column_stack([np.zeros(50), np.linspace(-1.0, 1.0, 50)])
-    assert _constant_spring(Term(Spring("joint2", 1), (0.3, 1.5)), positions) == []
-    (told,) = _constant_spring(Term(Spring("joint2", 1), (0.3, 14.0)), positions)
+    assert Term(Spring("joint2", 1), (0.3, 1.5)).caveats(positions) == []
+    (told,) = Term(Spring("joint2", 1), (0.3, 14.0)).caveats(positions)
     assert (
         "spring@joint2: the rest lies beyond the motion, -1 to 1 rad, over which it is a torque of -4.2 N m that changes by 0.6"
         in told
