@@ -18,8 +18,8 @@ from bayesid.dynamics.regressors import Kernel
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
 
-#: A column whose part outside the kept ones is below this share of its length counts as dependent. CAD programs write places
-#: and angles to six digits, which tilts axes by some 1e-6 and would otherwise pass for identifiable structure.
+#: A column whose part outside the kept ones is below this share of its length counts as dependent. URDFs round
+#: right angles to 1.5708, which tilts axes by 4e-6 and would otherwise pass for identifiable structure.
 TOLERANCE = 3e-5
 #: What of a combination of parameters may lie outside others for it to be one of these, relative to its length.
 _OUTSIDE = 1e-4

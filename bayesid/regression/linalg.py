@@ -10,8 +10,8 @@ UNSEEN = 1e-8
 #: Share of a direction that the rows do not show above which a column has a part in it.
 PART = 1e-6
 #: What a row may take of a change that the data do not show, as a share of what it takes of the change's parts, of its own
-#: length, and of the longest row's: one that is nothing but rounding takes nothing. Angles that a CAD program writes are rounded
-#: to some 1e-6, and columns that are alike but for those are.
+#: length, and of the longest row's: one that is nothing but rounding takes nothing. A URDF's right angles are rounded
+#: to 4e-6, and columns that are alike but for those are.
 SHARE_OF_CHANGE, SHARE_OF_ROW, SHARE_OF_LONGEST = 1e-4, 1e-9, 1e-12
 
 
@@ -105,7 +105,7 @@ def unshown(covariance: np.ndarray, hidden: np.ndarray) -> np.ndarray:
 
 
 def takes(rows: np.ndarray, changes: np.ndarray) -> np.ndarray:
-    """Whether rows (..., p) take any of some changes of unit length (p, m), rounding and rounded angles apart (...)."""
+    """Whether rows (..., p) take any of some changes of unit length (p, m), rounding and rounded right angles apart (...)."""
     taken, among = np.abs(rows @ changes), np.abs(rows) @ np.abs(changes)
     length = np.linalg.norm(rows, axis=-1, keepdims=True)
     least = np.maximum(SHARE_OF_CHANGE * among, np.maximum(SHARE_OF_ROW * length, SHARE_OF_LONGEST * length.max(initial=0.0)))

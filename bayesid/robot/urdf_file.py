@@ -130,7 +130,7 @@ class UrdfFile:
         return ET.tostring(self.root, encoding="unicode")
 
     def for_pinocchio(self) -> str:
-        """Links with their masses, and joints, as XML: what Pinocchio needs and nothing else, rounded right angles made right."""
+        """Links with their masses, and joints, as XML: what Pinocchio needs and nothing else."""
         whole = self.root
         root = ET.Element("robot", name=whole.get("name", ""))
         for kind, parts in (("link", ("inertial",)), ("joint", ("origin", "parent", "child", "axis", "limit"))):
@@ -139,8 +139,6 @@ class UrdfFile:
                 for part in parts:
                     for inner in element.findall(part)[:1]:
                         below = ET.SubElement(copy, part, _plain(inner))
-                        if kind == "joint" and "rpy" in below.attrib:
-                            below.set("rpy", " ".join(map(_right_angle, below.attrib["rpy"].split())))
                         for innermost in inner:
                             ET.SubElement(below, innermost.tag, _plain(innermost))
         return ET.tostring(root, encoding="unicode")
@@ -363,20 +361,6 @@ def _number(text: str | None, what: str, wrong: Wrong, largest: float = np.inf) 
         remedy = "write SI units (m, rad, kg, kg m^2)"
         raise wrong(f"{what} {_cut(text)} is beyond all robots", value=text, remedy=remedy)
     return value
-
-
-def _right_angle(text: str) -> str:
-    """An angle, in full where it is a multiple of a right angle that was rounded or cut to the digits it is written with.
-
-    1.5708 tilts an axis by 4e-6 and 1.57 by 8e-4, and what parallel and perpendicular axes never tell apart, such as a rotor's
-    inertia and its link's, would be told by that alone.
-    """
-    _, _, decimals = text.strip().partition(".")
-    angle = 0.5 * np.pi * round(float(text) / (0.5 * np.pi))
-    unit = 0.1 ** len(decimals)
-    written = (round(abs(angle) / unit), np.floor(abs(angle) / unit))
-    same = len(decimals) >= 2 and decimals.isdigit() and round(abs(float(text)) / unit) in written
-    return repr(float(angle)) if same else text
 
 
 def _cut(text: str) -> str:

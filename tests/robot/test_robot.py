@@ -7,8 +7,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from bayesid.dynamics.base_parameters import structural_base
-from bayesid.dynamics.channels import torque_channels
 from bayesid.errors import InputError
 from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
@@ -46,25 +44,6 @@ def test_plain_robot_is_the_urdf(name, tmp_path):
     assert robot.sensor_parent == -1 and robot.sensor_bodies.all()
     assert len(robot.parameter_names) == len(robot.parameter_units) == 10 * robot.n
     assert not robot.nominal.flags.writeable
-
-
-@pytest.mark.parametrize(("right", "straight"), [("1.5708", "3.1416"), ("1.57", "3.14"), ("1.5707", "3.14159")])
-def test_rounded_right_angles_are_right(right, straight, tmp_path):
-    """What axes tilted by the rounding would show, such as an inertia apart from those beyond it, is no base parameter."""
-    exact = str(write(tmp_path, ROBOTS["panda"]()))
-    turns = ((f"{np.pi / 2} 0 {np.pi}", f"{right} 0 {straight}"), (f"-{np.pi / 2} 0 0", f"-{right} 0 0"))
-    bases, rotations = [], []
-    for column in range(2):
-        root = ET.parse(exact).getroot()
-        for k, joint in enumerate(root.findall("joint")):
-            joint.find("origin").set("rpy", turns[k % 2][column])
-        path = tmp_path / f"{column}.urdf"
-        ET.ElementTree(root).write(path)
-        robot = load_robot(path)
-        rotations.append(robot.rotation)
-        bases.append(structural_base(robot, torque_channels(robot)).labels)
-    np.testing.assert_array_equal(*rotations)
-    assert bases[0] == bases[1]
 
 
 @pytest.mark.parametrize("locked", [
