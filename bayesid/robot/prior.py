@@ -16,7 +16,7 @@ _SLENDERNESS, _DENSITY = 4.0, 1000.0
 _RADIUS = 0.05
 #: Length from which a link without a mass is no mere frame, as those between the joints of a wrist are [m].
 _LENGTH = 0.01
-#: A body that lies this much closer about its centre of mass than a link of its length does is a point mass in its URDF alone.
+#: A body whose radius of gyration is less than this share of that of a link of its length is a point in its URDF alone.
 _POINT_LIKE = 0.25
 #: Relative standard deviation of a body that is guessed, of the mean of its robot's bodies.
 GUESS_STD = 10.0
