@@ -192,7 +192,7 @@ class Effect(ABC):
         return ()
 
     def caveat(self, values: Sequence[float], positions: np.ndarray) -> str:
-        """What to know of such values (k,) where its joint was at some positions (N,); empty where that is nothing."""
+        """What to know of such values (k,) where its joint was at some positions (N,) [rad or m]; empty where that is nothing."""
         return ""
 
     @property
@@ -317,7 +317,7 @@ class Term:
             raise ValueError(f"{self.effect.spec} has {len(self.effect.parameters)} parameters, not {len(self.values)}")
 
     def caveats(self, positions: np.ndarray) -> list[str]:
-        """What to know of the values where the joints were at some positions (N, n), a sentence each."""
+        """What to know of the values where the joints were at some positions (N, n) [rad or m], a sentence each."""
         said = "" if self.effect.joint is None else self.effect.caveat(self.values, positions[:, self.effect.joint])
         return [f"{self.effect.spec}: {said}"] if said else []
 

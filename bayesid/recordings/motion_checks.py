@@ -345,9 +345,10 @@ def _stalled(table: Table) -> np.ndarray:
 
 
 def stalls(times: np.ndarray, positions: np.ndarray, repeated: np.ndarray) -> list[tuple[int, int]]:
-    """Runs of repeated rows (N,) that are not simply a robot at rest: it moves with the steps just before and just after them.
+    """Runs of repeated rows (N,), from and to, that are not simply a robot at rest: it moves just before and just after them.
 
-    At the end of a recording the step before is all there is.
+    That is by the steps of its positions (N, n) [rad or m] at times (N,) [s]. At the end of a recording the step before is all
+    there is.
     """
     slow = _SLOW * np.quantile(_speeds(times, positions), 0.95, axis=1)
     fast = np.append(False, np.any(np.abs(np.diff(positions, axis=0)) > slow * np.diff(times)[:, None], axis=1))

@@ -56,7 +56,7 @@ COMPARED = (
 #: What limits computing, ``module.NAME`` of bayesid.diagnosis: steps, rounds, draws, rows listed, and how exact a number is made.
 LIMITS = (
     "fit.STEPS", "fit.FEW_STEPS", "fit.SWEEPS", "fit._SETTLED", "forward._FITTED", "forward._ALIKE", "forward._FAMILIES",
-    "forward._BEHIND", "rivals._CERTAIN", "encoders.ROUNDINGS", "prepare._RATE", "prepare._FRICTION_RATE",
+    "forward._BEHIND", "forward._AHEAD", "rivals._CERTAIN", "encoders.ROUNDINGS", "prepare._RATE", "prepare._FRICTION_RATE",
     "prepare._UNKNOWN_REL_STD", "noise_spectrum._LEAST", "gap._DRAWS", "locate.LISTED",
     "locate._PARTS", "impulse_events._SAMPLES", "description.choose._TERMS", "description.choose._ADAPTED",
     "description.choose._COMPARED",

@@ -260,7 +260,7 @@ def _without_stalls(signals: Sequence[Signal]) -> tuple[list[Signal], list[str]]
         while stalled := stalls(
             times[kept], q.values[kept], np.append(False, (np.diff(values[kept], axis=0) == 0.0).all(axis=1))
         ):
-            kept = np.delete(kept, [row for a, b in stalled for row in range(a, b)])
+            kept = np.delete(kept, np.concatenate([np.arange(*run) for run in stalled]))
         if len(times) - len(kept) < 2:
             continue
         rows = f"{len(times) - len(kept)} of {len(times)} rows{f' of {q.topic}' if q.topic else ''}"
