@@ -81,6 +81,11 @@ class Fit:
         """Whitened derivatives of the readings with respect to all free parameters (rows, k)."""
         return _side_by_side(self.projector, self.terms, self.derivatives)
 
+    @property
+    def leaves_noise(self) -> bool:
+        """Whether it leaves no more than the noise."""
+        return self.chi2 < self.projector.data.settings.unexplained * self.projector.rows
+
     def std(self, index: int, dispersion: float) -> np.ndarray:
         """Standard deviations of one term's free parameters, by its index; infinite where the data do not determine them."""
         at = [column for column, (owner, _) in enumerate(self.free) if owner == index]

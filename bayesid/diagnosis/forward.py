@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.diagnosis.candidates import Library, Proposal
-from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.fit import FEW_STEPS, STEPS, SWEEPS, Fit, Iterate, advance, begin, finish, fit, is_another
 from bayesid.diagnosis.grams import schwarz
 from bayesid.diagnosis.noise_models import NoiseModels
@@ -88,7 +87,7 @@ def _is_surrogate(state: State, better: Fit) -> bool:
 
 def too_many_to_name(state: State) -> bool:
     """Whether the best model's effects are too many to be named: they stand in for what the library lacks."""
-    return is_surrogate_combination(state.best.projector.data, state.best.terms[state.known :])
+    return is_surrogate_combination(state.best, state.known)
 
 
 def measured_dispersion(state: State) -> State:
@@ -247,13 +246,19 @@ def in_family(terms: Sequence[Term], index: int) -> bool:
     return sum(t.effect.name == terms[index].effect.name for t in terms) > 2
 
 
-def unrelated(data: DiagnosisData, terms: Sequence[Term]) -> int:
-    """How many unrelated effects there are; one kind in half of the joints, two at least, counts once."""
+def unrelated(best: Fit, known: int) -> int:
+    """How many unrelated effects a model has beside the user's; one kind in half of the joints, two at least, counts once.
+
+    Where nothing else is missing, all kinds of friction in so many joints, and offsets of their torques, count once between them:
+    what drives have of it is missing where nobody put it into the model. Otherwise they may imitate something together.
+    """
+    terms = best.terms[known:]
     names = [t.effect.name for t in terms]
-    many = max(2, data.robot.n / 2)
-    return sum(1 if names.count(n) >= many else names.count(n) for n in set(names))
+    many = {n for n in names if names.count(n) >= max(2, best.projector.data.robot.n / 2)}
+    friction = {t.effect.name for t in terms if t.effect.wanders and t.effect.name in many} if best.leaves_noise else set[str]()
+    return len(many - friction) + bool(friction) + sum(n not in many for n in names)
 
 
-def is_surrogate_combination(data: DiagnosisData, terms: Sequence[Term]) -> bool:
-    """Whether more effects are needed than a robot is likely to hide."""
-    return unrelated(data, terms) > data.settings.likely_effects
+def is_surrogate_combination(best: Fit, known: int) -> bool:
+    """Whether a model needs more effects beside the user's than a robot is likely to hide."""
+    return unrelated(best, known) > best.projector.data.settings.likely_effects

@@ -36,8 +36,7 @@ def as_points(best: Fit, seed: int) -> DiagnosisData | None:
     fitted = fit(make_projector(points, best.terms), best.terms, best)
     # Where friction reverses it shows whatever else is missing; elsewhere what is missing may suit either by chance.
     dry = any(t.effect.reverses_at_once for t in best.terms)
-    tells = dry or fitted.chi2 < data.settings.unexplained * fitted.projector.rows
-    return points if tells and fitted.score > best.score + data.settings.accept else None
+    return points if (dry or fitted.leaves_noise) and fitted.score > best.score + data.settings.accept else None
 
 
 def soft_terms(terms: Sequence[Term]) -> Softness:
@@ -84,8 +83,7 @@ class NoiseModels:
         else:
             fitted = fit(self.projectors[key], fitted.terms, fitted)
         projector = models.projectors[key]
-        settled = fitted.chi2 < data.settings.unexplained * projector.rows
-        if not key or settled or not fitted.terms[-1].effect.restarts:
+        if not key or fitted.leaves_noise or not fitted.terms[-1].effect.restarts:
             return models, fitted
         # A resonance near the motion's band is found only from nearby, and stiff joints' noise may have put the start afar.
         last = fitted.terms[-1]

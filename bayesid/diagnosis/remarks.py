@@ -122,7 +122,7 @@ def _in_part(search: Search, reason: Reason) -> list[str]:
     """Why effects are named in part only, although they leave no more than the noise."""
     data = search.projector.data
     why = {
-        "surrogates": f"there are {unrelated(data, [f.term for f in search.found])} unrelated effects, and more than "
+        "surrogates": f"there are {unrelated(search.best, len(search.base.terms))} unrelated effects, and more than "
         f"{data.settings.likely_effects} at once may imitate between them one that the library does not have",
         "denied": "the validation motions are not for certain predicted better with them",
         "": "the search by log evidence alone ended at other effects, which leave more",

@@ -88,7 +88,7 @@ def essential(pruned: Pruned) -> tuple[Pruned, tuple[Term, ...]]:
     """
     state = pruned.state
     models, few, known = state.models, state.best, state.known
-    while is_surrogate_combination(few.projector.data, few.terms[known:]):
+    while is_surrogate_combination(few, known):
         least = min(range(known, len(few.terms)), key=lambda k: wald_evidence(few, k, state.dispersion))
         models, few = _without(models, few, least)
         if explained(state.base, few) < state.settings.nearly_all:
@@ -104,8 +104,8 @@ def with_rivals(pruned: Pruned) -> tuple[State, tuple[Found, ...]]:
     state = pruned.state
     # Where an unmodelled effect is left, or surrogates stand in for it, nothing will be named, and nothing needs rivals.
     best, settings = state.best, state.settings
-    left = best.chi2 >= settings.unexplained * best.projector.rows and explained(state.base, best) < settings.nearly_all
-    if left or is_surrogate_combination(best.projector.data, best.terms[state.known :]):
+    left = not best.leaves_noise and explained(state.base, best) < settings.nearly_all
+    if left or is_surrogate_combination(best, state.known):
         return state, tuple(_alone(state, i) for i in range(state.known, len(best.terms)))
     for attempt in range(SWEEPS + 1):
         state, found, better = _found(pruned, exchange=attempt < SWEEPS)

@@ -69,9 +69,7 @@ def search(projector: NuisanceProjector, terms: Sequence[Term], seed: int, progr
 
 def leaves_noise(s: Search) -> bool:
     """Whether the effects found are few, and leave no more than the noise on the fitted motions."""
-    data, known = s.projector.data, len(s.base.terms)
-    few = not is_surrogate_combination(data, s.best.terms[known:])
-    return few and s.best.chi2 < data.settings.unexplained * s.projector.rows
+    return s.best.leaves_noise and not is_surrogate_combination(s.best, len(s.base.terms))
 
 
 def search_from(s: Search, terms: Sequence[Term], seed: int, progress: Callable[[str], None]) -> Search:

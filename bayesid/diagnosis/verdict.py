@@ -59,7 +59,7 @@ def evidence_of(search: Search, gap: Gap | None, stability: Sequence[Stability |
         explained=explained(search.base, search.best),
         effects=len(terms),
         far=search.projector.data.floor_source == FAR,
-        unrelated=unrelated(search.projector.data, terms),
+        unrelated=unrelated(search.best, len(search.base.terms)),
         dropped=bool(search.dropped),
         rivals=any(f.rivals for f in search.found),
         # Poses are few, and each was chosen for what it shows.

@@ -75,6 +75,19 @@ def test_two_kinds_of_friction_in_a_joint_are_not_taken_for_a_third(bench, level
         assert (np.abs(np.array(own.term.values) - truth) < 4.0 * own.std).all()
 
 
+def test_friction_of_three_kinds_in_all_joints_is_one_thing_that_is_missing(bench):
+    """Nobody put friction into the model: all that drives have of it is named, not called an imitation of something else."""
+    setup, motions, _ = bench
+    hidden = {
+        "coulomb_friction": {"level": 0.8}, "viscous_friction": {"coefficient": 1.5},
+        "stribeck_friction": {"level": 1.0, "velocity": 0.1},
+    }  # fmt: skip
+    recorded = bayesid.simulate(replace(setup, effects=()), motions, effects=hidden, perturb=0.03, seed=6)
+    found = diagnose(recorded, "torque")
+    assert found.verdict == "named"
+    assert {f.term.effect.spec for f in found.found} == {f"{kind}@joint{j}" for kind in hidden for j in (1, 2)}
+
+
 @pytest.mark.slow
 def test_a_coupling_that_nobody_stated_is_named(tmp_path):
     """A wrist whose motor 6 turns with joint 5: found from one whole turn for another, in the wrench, where its links show."""
