@@ -284,16 +284,18 @@ _OFFSET_NOTE = (
 
 def _effects(result: Identification) -> list[Html]:
     rows, marks = [], {}
+    together = {spec for specs in result.not_shown.effects.values() for spec in specs}
     for effect in result.effects():
         marks[len(rows)] = "rule"
+        said = "not told from links" if f"{effect['name']}@{effect['where']}" in together else ""
         for k, (key, parameter) in enumerate(effect["parameters"].items()):
             where = [effect["name"].replace("_", " "), effect["where"]] if k == 0 else ["", ""]
-            rows.append([*where, key, *with_interval(*(parameter[part] for part in _INTERVAL)), parameter["unit"]])
+            rows.append([*where, key, *with_interval(*(parameter[part] for part in _INTERVAL)), parameter["unit"], said])
     if not rows:
         return []
     offset = result.offset is not None and result.problem.row_model.base.weight_in_offset
     text = f"Estimated together with the base parameters.{f' {_OFFSET_NOTE}' if offset else ''}"
-    table = ShownTable(["effect", "where", "parameter", "value", "± 95 %", "unit"], rows, "k k - nb n ku", "narrow", marks)
+    table = ShownTable(["effect", "where", "parameter", "value", "± 95 %", "unit", ""], rows, "k k - nb n ku -", "narrow", marks)
     return [below("Effects beyond rigid bodies", text, table)]
 
 
@@ -524,7 +526,8 @@ def limits_section(result: Identification) -> ShownSection:
         parts.append(below(
             "Lost to an effect in the model",
             "These motions show these only together with an effect that is estimated along, as inertia about a joint's axis "
-            "adds to that of the rotor behind it. What is stated of the effect in [model.values] gives them back.",
+            "adds to that of the rotor behind it: where the tables give a number of either, rely on their sum alone. What "
+            "is stated of the effect in [model.values] gives them back.",
             bullets([f"{label}: not told from {', '.join(specs)}" for label, specs in lost.effects.items()]),
         ))  # fmt: skip
     if lost.static_run:

@@ -18,7 +18,7 @@ from bayesid.estimators.nonlinear import default_method, solve
 from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
-from bayesid.regression.linalg import undetermined
+from bayesid.regression.linalg import UNSEEN, pseudo_inverse, undetermined
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import both, in_order, one_blas_thread
 from bayesid.regression.problem import Problem, prepare
@@ -179,21 +179,38 @@ def _not_shown(problem: Problem, estimate: Estimate) -> NotShown:
 
 
 def _lost_to_effects(problem: Problem, estimate: Estimate) -> dict[str, tuple[str, ...]]:
-    """Base parameters that the rows determine without effects and not beside them: which effects take each, by its label."""
-    regression, base = problem.regression, estimate.base
-    lost = np.flatnonzero(estimate.undetermined[: base.rank])
-    if not len(lost) or not regression.effect_names:
+    """Base parameters that the rows show without effects and not beside them: which effects take each, by its label.
+
+    Not beside them: they are not determined, or known no better than the size of a body, and most of that variance is of not
+    knowing the effect. Where only a rounded right angle of the URDF tells a rotor from its link, that is thousands of kg m^2.
+    """
+    regression, rank = problem.regression, estimate.base.rank
+    poorly = estimate.undetermined[:rank] | estimate.weak[:rank]
+    if not poorly.any() or not regression.effect_names:
         return {}
     matrix = pilot_of(regression.rows).whitened(learn_weights(regression).noise).matrix
-    specs = np.array([*[""] * base.rank, *(name.rpartition(".")[0] for name in regression.effect_names)])
-    alone = undetermined(matrix[:, : base.rank])
-    out: dict[str, tuple[str, ...]] = {}
+    specs = np.array([*[""] * rank, *(name.rpartition(".")[0] for name in regression.effect_names)])
+    hidden = estimate.undetermined[:rank] | undetermined(matrix)[:rank]
+    variance = _variances(matrix)[:rank]
+
+    def shown_without(out: np.ndarray) -> np.ndarray:
+        rest = matrix[:, ~out]
+        return ~undetermined(rest)[:rank] & (hidden | (_variances(rest)[:rank] < 0.5 * variance))
+
     # Where it takes several to hide a parameter, as a drive's offset and rotor do a load, these are not determined either.
-    several = tuple(dict.fromkeys(specs[base.rank :][estimate.undetermined[base.rank :]].tolist()))
-    beside = {spec: undetermined(matrix[:, specs != spec]) for spec in dict.fromkeys(specs.tolist()) if spec}
-    for k in lost[~alone[lost]].tolist():
-        out[base.labels[k]] = tuple(spec for spec, hidden in beside.items() if not hidden[k]) or several
+    several = tuple(dict.fromkeys(specs[rank:][estimate.undetermined[rank:]].tolist()))
+    alone = shown_without(specs != "")
+    beside = {spec: shown_without(specs == spec) for spec in dict.fromkeys(specs.tolist()) if spec}
+    out: dict[str, tuple[str, ...]] = {}
+    for k in np.flatnonzero(poorly & alone).tolist():
+        if taking := tuple(spec for spec, shown in beside.items() if shown[k]) or (several if hidden[k] else ()):
+            out[estimate.base.labels[k]] = taking
     return out
+
+
+def _variances(matrix: np.ndarray) -> np.ndarray:
+    """Variances of the parameters of a whitened factor (k, p) with noise of one (p,)."""
+    return np.sum(pseudo_inverse(matrix, UNSEEN) ** 2, axis=1)
 
 
 def _of_what_is_not_shown(lost: NotShown) -> list[str]:
