@@ -245,6 +245,12 @@ def _warnings(
     for names in equal_estimates(done):
         because = [w for e in done if e.name in names and e.estimate is not None for w in e.estimate.details.warnings]
         out.append(because[0] if because else f"{in_words(names)} are the same here, to the last digit.")
+    by_text: dict[str, list[str]] = {}
+    for e in done:
+        for text in e.estimate.details.warnings if e.estimate is not None else ():
+            by_text.setdefault(text, []).append(e.name)
+    named = ((text, "" if text.startswith(f"{names[0]} ") else f"{in_words(names)}: ") for text, names in by_text.items())
+    out += [f"{before}{text}" for text, before in named if text not in out]
     apart = [t for t in tests if t.contradiction]
     if apart:
         names, largest = ", ".join(t.method for t in apart), max(t.probability or 0.0 for t in apart)

@@ -332,6 +332,17 @@ def test_two_names_of_one_estimate_are_told():
     assert "gls = wls" in str(found) and not found.tests and not found["wls"].details.warnings
 
 
+def test_what_an_estimator_says_of_itself_is_said_with_its_name():
+    """`identify` told of weak instruments and this did not, beside an interval a thousand times as wide."""
+    rng = np.random.default_rng(0)
+    matrix = np.cumsum(rng.normal(size=(400, 2)), axis=0)[:, None]
+    instruments = np.stack([matrix[:, :, 0], rng.normal(size=(400, 1))], axis=-1)
+    target = matrix @ [1.0, 2.0] + rng.normal(0.0, 0.1, (400, 1))
+    regression = bayesid.Regression.from_arrays(matrix, target, instruments=instruments)
+    (own,) = bayesid.fit(regression, "iv").details.warnings
+    assert bayesid.compare(regression, ["wls", "iv"]).warnings == (f"iv: {own}",)
+
+
 def test_estimators_that_differ_are_not_called_the_same():
     rng = np.random.default_rng(4)
     x = rng.normal(size=(800, 2, 3))
