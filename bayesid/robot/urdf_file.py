@@ -178,6 +178,10 @@ def _checked(data: bytes, path: Path, notes: tuple[str, ...] = (), inside: dict 
     if root.tag != "robot":
         remedy = "it cannot be read as a URDF, which has <robot>, nor as MJCF, <mujoco>: name the robot's file"
         raise wrong(f"its root element is <{_cut(root.tag)}>", remedy=remedy)
+    if root.find("joint/parent[@link='world']") is not None and root.find("link[@name='world']") is None:
+        # Drake has a link of this name for the ground, so files made for it name it as a parent and leave it out.
+        ET.SubElement(root, "link", name="world")
+        data = ET.tostring(root)
     links, joints = _named(root, "link", wrong), _named(root, "joint", wrong)
     if not links:
         raise wrong("has no <link>", remedy="it cannot be read as a URDF: check the file")

@@ -401,7 +401,8 @@ def _not_shown(result: PayloadEstimate) -> list[str]:
     never = {q.name: bool(hidden) for q, hidden in zip(result.quantities, result.never_shown, strict=True)}
     if not result.mass.shown:
         told = [q.name for q in result.first_moment if q.shown]
-        moments = f" The first moments {', '.join(told)}, mass times centre of mass, are shown." if told else ""
+        known = f" The first moments {', '.join(told)}, mass times centre of mass, are known as well as their intervals say."
+        moments = known if told else ""
         if not never["m"]:
             if (result.nominal_share or 0.0) > 0.5:
                 return [f"The recordings do not show the mass beside what is not known of the nominal links.{moments}"]

@@ -177,6 +177,16 @@ def test_joints_are_in_the_order_of_the_file_along_their_chains(tmp_path):
         assert load_robot(write(tmp_path, f'<robot name="r">{links}{"".join(listed)}</robot>')).joint_names == expected
 
 
+def test_the_ground_of_drake_needs_no_link(tmp_path):
+    text = ROBOTS["ur5"]()
+    parents, children = ({end.get("link") for end in ET.fromstring(text).iter(kind)} for kind in ("parent", "child"))
+    (base,) = parents - children
+    weld = f'<joint name="weld" type="fixed"><parent link="world"/><child link="{base}"/></joint></robot>'
+    whole, welded = (load_robot(write(tmp_path, t)) for t in (text, text.replace("</robot>", weld)))
+    assert welded.joint_names == whole.joint_names
+    np.testing.assert_allclose(welded.nominal, whole.nominal)
+
+
 def test_unreadable_files(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         load_robot(tmp_path / "none.urdf")

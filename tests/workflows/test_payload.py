@@ -358,6 +358,7 @@ def test_first_moments_are_told_where_no_motion_shows_the_mass(crossed):
         assert q.shown and abs(q.value - value) < 4.0 * q.std and q.std < 0.02
     text, written = str(result), result.to_dict()
     assert "No motion of this robot shows the mass of a payload on pitch" in text and "tilt" not in text
+    assert "first moments mcx, mcy, mcz, mass times centre of mass, are known as well as their intervals say" in text
     assert re.search(r"first moment mcz +0\.1\d+ +± 0\.\d+ +kg m", text) and written["parameters"]["shown_by_no_motion"][0]
     assert written["first_moment"]["value"] == [q.value for q in result.first_moment]
     with pytest.raises(bayesid.InputError, match="no motion of this robot does"):
