@@ -355,6 +355,21 @@ def stalls(times: np.ndarray, positions: np.ndarray, repeated: np.ndarray) -> li
     return [(a, b) for a, b in runs(repeated) if fast[a - 1] and (b == len(times) or fast[b])]
 
 
+def rows_without_stalls(times: np.ndarray, positions: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Rows (k,) that are left without `stalls` of positions (N, n) and all values (N, m) that were recorded with them."""
+    kept = np.arange(len(times))
+    # Without them the robot is seen to be faster, and may be seen to move at more of them.
+    while stalled := stalls(times[kept], positions[kept], np.append(False, (np.diff(values[kept], axis=0) == 0.0).all(axis=1))):
+        kept = np.delete(kept, np.concatenate([np.arange(*run) for run in stalled]))
+    return kept
+
+
+def without_stalls(table: Table) -> Table:
+    """The table without the rows that a check would report to repeat the row before while the robot moves."""
+    kept = rows_without_stalls(table.times, table.positions, np.column_stack([column for _, column in _columns(table)]))
+    return table[kept] if len(table) - len(kept) > 1 else table
+
+
 def _stalls(table: Table, stalled: np.ndarray) -> list[str]:
     """Report rows that repeat the row before while the robot moves."""
     counted = stalls(table.times, table.positions, stalled)

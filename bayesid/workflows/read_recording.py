@@ -21,8 +21,9 @@ from bayesid.recordings.importing.clock import lag
 from bayesid.recordings.importing.column_map import ColumnMap, load_column_map
 from bayesid.recordings.importing.found_columns import currents, stated_times, where_torques_are
 from bayesid.recordings.importing.recording import Recording, joined_files, make_recording, read_source
-from bayesid.recordings.importing.signals import Signal
+from bayesid.recordings.importing.signals import STALLED, Signal
 from bayesid.recordings.importing.stream import Source, kind_of
+from bayesid.recordings.motion_checks import without_stalls
 from bayesid.recordings.robot_section import robot_doubts, with_stated_effects
 from bayesid.results.imported import Delay, Imported, ImportedRecording
 from bayesid.robot.robot import load_robot
@@ -182,6 +183,11 @@ def read_recording(
     ]
     if hold_out is not None:
         motions = [part for motion in motions for part in _halves(motion, hold_out)]
+    motions, whole = [_without_stalls(motion) for motion in motions], motions
+    notes += [
+        f"{motion.name}: {STALLED.format(len(all_rows.table) - len(motion.table), len(all_rows.table), '')}"
+        for all_rows, motion in zip(whole, motions, strict=True) if len(motion.table) < len(all_rows.table)
+    ]  # fmt: skip
     if not any(motion.role == "validation" for motion in motions):
         notes.append(
             f"no recording for validation: name one ({argument('validation')}), or hold out the end of this one "
@@ -229,6 +235,11 @@ def _halves(motion: Motion, share: float) -> list[Motion]:
     cut = int(np.searchsorted(table.times, table.times[0] + (1.0 - share) * table.duration))
     end = replace(table[cut:], source=f"{motion.name}-end", notes=())
     return [replace(motion, table=table[:cut]), Motion(f"{motion.name}-end", "validation", end, kind=motion.kind)]
+
+
+def _without_stalls(motion: Motion) -> Motion:
+    """A motion without old samples at the times of new ones: one held out may be slow beside the rest of its recording."""
+    return replace(motion, table=without_stalls(motion.table)) if motion.kind == "trajectory" else motion
 
 
 def _locked(

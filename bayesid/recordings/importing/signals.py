@@ -22,7 +22,7 @@ from bayesid.recordings.importing.column_map import (
 )
 from bayesid.recordings.importing.found_columns import FoundColumn, Layout
 from bayesid.recordings.importing.stream import Stream
-from bayesid.recordings.motion_checks import TURN, Timing, rows_held, stalls, wraps
+from bayesid.recordings.motion_checks import TURN, Timing, rows_held, rows_without_stalls, wraps
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table, check_increasing
 from bayesid.recordings.toml_file import LARGEST
 
@@ -30,6 +30,11 @@ from bayesid.recordings.toml_file import LARGEST
 _OWN_TIMES = 0.5
 _JUDGED = 200_000  # rows that are looked at for repeated samples
 _SAID = {"q": "positions", "v": "velocities", "qr": "positions", "tau": "torques", "f": "forces", "m": "moments"}
+#: What is said of rows that are left out, with how many of how many, and of what.
+STALLED = (
+    "{} of {} rows{} repeat the row before in positions and readings while the robot moves, old samples at the times of new "
+    "ones; left out"
+)
 NAMES = {"q": "positions", "v": "velocities", "qr": "commands", "tau": "torques", "wrench": "wrench"}
 
 
@@ -254,20 +259,10 @@ def _without_stalls(signals: Sequence[Signal]) -> tuple[list[Signal], list[str]]
         sensed = [out[k] for k in together if out[k].quantity != "qr"]
         if not any(s.quantity in ("tau", "wrench") for s in sensed):  # encoders repeat what moves by less than a count
             continue
-        times, values = q.times, np.column_stack([s.values for s in sensed])
-        kept = np.arange(len(times))
-        # Without them the robot is seen to be faster, and may be seen to move at more of them.
-        while stalled := stalls(
-            times[kept], q.values[kept], np.append(False, (np.diff(values[kept], axis=0) == 0.0).all(axis=1))
-        ):
-            kept = np.delete(kept, np.concatenate([np.arange(*run) for run in stalled]))
-        if len(times) - len(kept) < 2:
+        kept = rows_without_stalls(q.times, q.values, np.column_stack([s.values for s in sensed]))
+        if len(q.times) - len(kept) < 2:
             continue
-        rows = f"{len(times) - len(kept)} of {len(times)} rows{f' of {q.topic}' if q.topic else ''}"
-        notes.append(
-            f"{rows} repeat the row before in positions and readings while the robot moves, old samples at the times of new "
-            "ones; left out"
-        )
+        notes.append(STALLED.format(len(q.times) - len(kept), len(q.times), f" of {q.topic}" if q.topic else ""))
         for k in together:
             out[k] = replace(out[k], times=out[k].times[kept], values=out[k].values[kept])
     return out, notes

@@ -232,6 +232,22 @@ def test_old_samples_at_the_times_of_new_ones_are_left_out(known, tmp_path):
     assert any("80 of 900 rows repeat the row before" in text for text in imported.recordings[0].recording.done)
 
 
+def test_old_samples_of_a_slow_end_that_is_held_out_are_left_out_as_check_finds_them(known, tmp_path):
+    """Beside a fast start its end seems to rest: import left there what `check` then asked to be cut out."""
+    frame = by_joint(known, time=known.t).iloc[:900]
+    at = np.cumsum(np.where(frame.index < 450, 1.0, 0.02)) * (known.t[1] - known.t[0])
+    for column in frame.columns[1:]:
+        frame[column] = np.interp(at, known.t, by_joint(known)[column])
+    for row in range(500, 880, 6):
+        frame.iloc[row, 1:] = frame.iloc[row - 1, 1:]
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, units={"q": "rad"}, hold_out=0.5)
+    left_out = np.setdiff1d(frame["time"].iloc[460:], imported.experiment.motions[1].table.times)
+    np.testing.assert_allclose(left_out, frame["time"].to_numpy()[500:880:6], atol=1e-9)
+    assert not any("repeat the row before" in text for text in imported.experiment.warnings)
+    assert sum("repeat the row before" in text for text in imported.done) == 1
+
+
 def test_joints_that_are_not_used_stand_where_they_were_recorded(known, tmp_path):
     """Only the shoulder is identified: the elbow, which moves, is locked in the middle, and that is told."""
     by_joint(known, time=known.t).to_csv(tmp_path / "log.csv", index=False)
