@@ -60,23 +60,22 @@ def check_positions(table: Table, robot: Robot) -> list[str]:
     return warnings
 
 
-def check_channels(table: Table) -> list[str]:
+def check_channels(table: Table, moves: bool = True) -> list[str]:
     """Look for sensor channels that do not work at all, in any kind of table.
 
-    An `InputError` where all six wrench channels, or all torques, are zero throughout, or torques have lost their signs.
+    An `InputError` where all six wrench channels, or all torques, are zero throughout, or torques of a robot that ``moves`` have
+    lost their signs. At rest an arm that is lifted from where it hangs may load each joint to one side, from zero on.
     """
     for name, columns in _READINGS.items():
         array = getattr(table, name)
         if array is not None and not np.nan_to_num(array).any():
             raise InputError(f"{table.source}: columns {columns}: 0 in every row; record them, or leave them out")
     unsigned = _without_sign(table)
-    if unsigned:
-        raise InputError(
-            f"{table.source}: columns {', '.join(unsigned)}: never negative, as if they were magnitudes; a moving robot's "
-            "torques have both signs: export them with their signs"
-        )
+    never = f"{table.source}: columns {', '.join(unsigned)}: never negative, as if they were magnitudes; "
+    if unsigned and moves:
+        raise InputError(f"{never}a moving robot's torques have both signs: export them with their signs")
     torque, other = "leave it out, for it is fitted as a reading", "check it"
-    return [
+    return [f"{never}if they are, export them with their signs"] * bool(unsigned) + [
         f"{table.source}: column {name}: {value:g} in every row; that channel looks dead, "
         f"{torque if name.startswith('tau') else other}"
         for name, value in dead_channels(table).items()
@@ -299,7 +298,7 @@ def examine(motion: Motion, robot: Robot, resolution: float | None, place: str) 
             f"at recordings as wholes (checks, noise floor, figures, diagnose, methods tls and iv) has {excerpt}"
         )
         findings.append(Finding(text))
-    doubts += check_positions(table, robot) + check_channels(table)
+    doubts += check_positions(table, robot) + check_channels(table, motion.kind == "trajectory")
     if motion.kind == "trajectory":
         held = held_columns(table)
         findings += held_findings(table, held)
@@ -307,5 +306,5 @@ def examine(motion: Motion, robot: Robot, resolution: float | None, place: str) 
     doubts += check_intervals(table, place, motion.period, motion.parked, resolution)
     if static is not None:
         check_static(table, static, resolution)
-        doubts += check_positions(static, robot) + check_channels(static)
+        doubts += check_positions(static, robot) + check_channels(static, moves=False)
     return replace(motion, table=table, static=static, examined=True), findings, doubts

@@ -75,7 +75,8 @@ class Imported:
     def __str__(self) -> str:
         e = self.experiment
         lines = [
-            f"{e.name}: {e.robot.n} joints of {e.robot.urdf.name}, {len(e.motions)} recording{'s' * (len(e.motions) != 1)}",
+            f"{e.name}: {e.robot.n} joint{'s' * (e.robot.n != 1)} of {e.robot.urdf.name}, "
+            f"{len(e.motions)} recording{'s' * (len(e.motions) != 1)}",
             "  " + ", ".join(f"q{j + 1} {name}" for j, name in enumerate(e.robot.joint_names)),
             *(f"  {text}" for text in self.done),
         ]

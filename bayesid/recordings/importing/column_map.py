@@ -44,8 +44,8 @@ _SPELT = {"nm": "N m", "degree": "deg", "degrees": "deg", "°": "deg", "°/s": "
           "amps": "A", "ampere": "A", "rads": "rad/s", "degs": "deg/s"}  # fmt: skip
 #: Words of each quantity; a joint's name or number stands beside them.
 _WORDS = {
-    "q": ("q", "pos", "position", "positions", "angle", "angles", "actual_q", "joint_pos", "joint_position", "joint_positions",
-          "qpos"),
+    "q": ("q", "pos", "position", "positions", "angle", "angles", "theta", "actual_q", "joint_pos", "joint_position",
+          "joint_positions", "qpos"),
     "v": ("v", "qd", "dq", "qdot", "vel", "velocity", "velocities", "actual_qd", "joint_vel", "joint_velocity",
           "joint_velocities", "qvel"),
     "qr": ("qr", "q_ref", "q_des", "q_d", "q_desired", "q_cmd", "target_q", "position_command", "commanded"),

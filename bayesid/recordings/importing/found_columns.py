@@ -195,14 +195,17 @@ class _Finder:
     def by_number(self, quantity: str, joints: Sequence[str], must: bool) -> dict[int, tuple[Stream, str]]:
         """Columns of a word of the quantity with a number, from zero or from one, in the order of the joints.
 
-        ``must``: whether another count than that of the joints is refused. Torques may be of some joints, under our own names.
+        Of a single joint the word needs no number. ``must``: whether another count than that of the joints is refused. Torques
+        may be of some joints, under our own names.
         """
         groups: dict[tuple[int, str], dict[int, tuple[Stream, str]]] = defaultdict(dict)
         for stream, column in self.places:
-            match = NUMBERED.fullmatch(without_unit(column))
-            word = re.split(r"[/.\s]", match[1].lower())[-1] if match else ""
-            if match and QUANTITY_OF_WORD.get(word) == quantity and not (quantity == "q" and _tokens(match[1]) & _COMMAND):
-                groups[id(stream), match[1]][int(match[2])] = (stream, column)
+            name = without_unit(column)
+            match = NUMBERED.fullmatch(name)
+            stem, number = (match[1], int(match[2])) if match else (name if len(joints) == 1 else "", 0)
+            word = re.split(r"[/.\s]", stem.lower())[-1]
+            if QUANTITY_OF_WORD.get(word) == quantity and not (quantity == "q" and _tokens(stem) & _COMMAND):
+                groups[id(stream), stem][number] = (stream, column)
         whole = [g for g in groups.values() if sorted(g) in (list(range(len(g))), list(range(1, len(g) + 1)))]
         fitting = [g for g in whole if len(g) == len(joints)]
         if len(fitting) > 1:

@@ -163,6 +163,19 @@ def test_short_words_of_ros_controllers_are_known(known, tmp_path):
         np.testing.assert_array_equal(getattr(table, name), values)
 
 
+def test_words_of_a_single_joint_need_no_number(known, tmp_path):
+    frame = pd.DataFrame({"time": known.t, "position": known.q[:, 1], "velocity": known.v[:, 1], "torque": known.tau[:, 1]})
+    frame.assign(**{"desired.position": 0.0}).to_csv(tmp_path / "log.csv", index=False)
+    table = only(tmp_path / "log.csv", known, joints=["elbow"])
+    for values, said in ((table.positions, known.q), (table.velocities, known.v), (table.torques, known.tau)):
+        np.testing.assert_array_equal(values, said[:, 1:])
+    frame.assign(theta=0.0).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(InputError, match="q could be position, theta"):
+        only(tmp_path / "log.csv", known, joints=["elbow"])
+    with pytest.raises(InputError, match="no positions of"):
+        only(tmp_path / "log.csv", known, joints=JOINTS)
+
+
 def test_a_unit_that_is_not_stated_is_asked_for(known, tmp_path):
     frame = by_joint(known, time=known.t)
     positions = [column for column in frame if column.endswith("position")]
