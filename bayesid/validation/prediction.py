@@ -395,6 +395,10 @@ WORTH = 0.05
 _NAMED = 0.5
 
 
+#: What is said of a motion where poses at rest are all that is fitted.
+BEYOND_POSES = "it moves, and poses at rest, which are all that is fitted, show nothing of inertias: that is the error without any"
+
+
 @dataclass(frozen=True)
 class Judgement:
     """A verdict in words."""
@@ -411,7 +415,7 @@ def judged(prediction: Prediction) -> Judgement:
     wrong = f"; {prediction.channel_names[worst]} is wrong by {100 * share:.0f} % of its signal" if share > _NAMED else ""
     largest = TOLERATED * (prediction.largest_rms or prediction.expected_rms)
     if prediction.beyond and (prediction.noise_source == RESIDUALS or white > largest):
-        return Judgement("fair", "it moves, and poses at rest, which are all that is fitted, show nothing of inertias")
+        return Judgement("fair", BEYOND_POSES)
     if prediction.noise_source == RESIDUALS:
         # The only noise at hand is what the fit left over: it cannot tell model error from noise.
         mood = "fair" if error <= CLOSE else "bad"

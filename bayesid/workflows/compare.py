@@ -32,6 +32,7 @@ from bayesid.validation.prediction import predict, useless
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.urdf_links import urdf_links
 from bayesid.workflows.warnings import (
+    beyond_poses,
     incomplete,
     mistaken,
     not_settled,
@@ -233,7 +234,8 @@ def _warnings(
         nominal = "nominal model with its effects fitted" if len(baselines) > 1 else "nominal model"
         out = [
             *unseen_effects(problem), *without_static_run(problem), *too_late(problem), *not_settled(problem, sure),
-            *repeated_motions(done[0].validation), *mistakes, *_beaten(done, baselines[-1], nominal),
+            *repeated_motions(done[0].validation), *beyond_poses(done[0].validation), *mistakes,
+            *_beaten(done, baselines[-1], nominal),
         ]  # fmt: skip
         if not done[0].validation:
             out.append(
@@ -276,7 +278,7 @@ def _beaten(done: Sequence[Entry], nominal: Entry, model: str) -> list[str]:
         beaten: dict[str, list[str]] = {}
         for unit, error in measures:
             names = [e.name for e in done if error(e.validation[k]) >= error(yardstick)]  # nan, of an unknown noise, never is
-            if names:
+            if names and not yardstick.beyond:
                 beaten.setdefault(listed(names), []).append(unit)
         if beaten:
             than = ", and than ".join(f"{names} {' and '.join(units)}" for names, units in beaten.items())

@@ -146,6 +146,18 @@ def unpredicted(predictions: Sequence[Prediction]) -> list[str]:
     return [f"{first}{judged(worst).text}. {remedy}"]
 
 
+def beyond_poses(predictions: Sequence[Prediction]) -> list[str]:
+    """That motions move where poses at rest are all that is fitted, so that no error of theirs judges a model."""
+    moving = [p.motion for p in predictions if p.beyond]
+    if not moving:
+        return []
+    what = f"motion {quoted(moving)}, which moves" if len(moving) == 1 else f"motions {quoted(moving)}, which move"
+    return [
+        "Poses at rest are all that is fitted, and show nothing of inertias: errors on "
+        f"{what}, are those of gravity alone, the nominal model's, too. Fit a motion, or validate on poses."
+    ]
+
+
 def unusable(
     problem: Problem, predictions: Sequence[Prediction], mistakes: Sequence[str], takes_effects: bool = True
 ) -> list[str]:

@@ -343,6 +343,16 @@ def test_what_an_estimator_says_of_itself_is_said_with_its_name():
     assert bayesid.compare(regression, ["wls", "iv"]).warnings == (f"iv: {own}",)
 
 
+def test_a_motion_does_not_judge_fits_of_poses(robot):
+    """All were given 20 % and 36 times the noise, the nominal model too, without a word: none of them had inertias."""
+    poses = recording(robot, SENSOR, fourier(robot, 1), seed=1, static=True, **NOISE)[::40]
+    moving = recording(robot, SENSOR, fourier(robot, 2), seed=2, **NOISE)
+    roles = [Motion("poses", "identification", poses, kind="poses"), Motion("val", "validation", moving)]
+    found = bayesid.compare(experiment(robot, roles, SENSOR), ["ols", "wls"])
+    assert sum("are those of gravity alone, the nominal model's, too" in w for w in found.warnings) == 1
+    assert not any("predicts as well as or better" in w for w in found.warnings)
+
+
 def test_estimators_that_differ_are_not_called_the_same():
     rng = np.random.default_rng(4)
     x = rng.normal(size=(800, 2, 3))
