@@ -396,7 +396,7 @@ _NAMED = 0.5
 
 
 #: What is said of a motion where poses at rest are all that is fitted.
-BEYOND_POSES = "it moves, and poses at rest, which are all that is fitted, show nothing of inertias: that is the error without any"
+BEYOND_POSES = "it moves, and poses at rest, which are all that is fitted, show nothing of inertias: an error without any"
 
 
 @dataclass(frozen=True)
