@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -271,7 +271,7 @@ class _Finder:
             return f"the log's joints are {listed(names, 8)}: say which is which ({option})"
         groups = _groups(self.streams)
         sized = [name for name, size in groups.items() if size == len(joints) > 1]
-        likely = [name for name in sized if _is_called(name, "q")] or sized
+        likely = [name for name in sized if _is_called(name, "q")] or _a_joint(groups, self.stated.names_of(joints)) or sized
         part = f"{columns[0].removesuffix('[0]')}[0:{len(joints)}]"  # of an array whose entries have no names
         alone = len(groups) == 1 and len(columns) >= len(joints) and columns[0].endswith("[0]")
         example = f"q={likely[0] if likely else part if alone else '{joint}/position' if len(columns) > 1 else '...'}"
@@ -379,6 +379,13 @@ def _is_called(name: str, quantity: str) -> bool:
     """Whether a name has a word of a quantity, ``t`` included, in it."""
     parts = _words_of(name)
     return any(_TIME.fullmatch(part) if quantity == "t" else QUANTITY_OF_WORD.get(part) == quantity for part in parts)
+
+
+def _a_joint(groups: Iterable[str], joints: Sequence[str]) -> list[str]:
+    """What is there of every joint under its name, as a pattern; the first number of arrays."""
+    first = [re.sub(r"\[0:\d+\]$", "[0]", name) for name in groups]
+    patterns = [name.replace(joints[0], "{joint}") for name in first if joints[0] in name] if joints else []
+    return [one for one in patterns if all(one.replace("{joint}", joint) in first for joint in joints)]
 
 
 def currents(streams: Sequence[Stream], count: int) -> list[str]:

@@ -67,6 +67,8 @@ def read_source(
         what, remedy = "is a pickle, which could run anything when it is read", "save arrays as .npz or CSV"
     elif path.is_dir():
         what = "folder holds no metadata.yaml, .mcap, .db3 or meta/info.json"
+        if any(kind_of(file) for file in path.iterdir() if file.is_file()):
+            remedy = f"name its files; {argument('join_files')} where they are parts of one recording"
     raise InputError(what, file=path.name, remedy=remedy)
 
 

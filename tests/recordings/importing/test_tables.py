@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tomllib
 from array import array
@@ -661,8 +662,26 @@ def test_a_file_that_is_no_parquet_or_a_pickle_is_refused(known, tmp_path):
             only(tmp_path / name, known)
     with pytest.raises(InputError, match="no such file or folder"):
         only(tmp_path / "absent.csv", known)
-    with pytest.raises(InputError, match="folder holds no metadata.yaml"):
+    with pytest.raises(
+        InputError, match=r"folder holds no metadata.yaml.*name its files; join_files where they are parts of one"
+    ):
         only(tmp_path, known)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="meta/info.json; give a ROS bag"):
+        only(tmp_path / "empty", known)
+
+
+def test_files_that_are_called_as_joints_make_the_example(known, tmp_path):
+    files = [tmp_path / f"{joint}_joint_states.csv" for joint in JOINTS]
+    for k, file in enumerate(files):
+        np.savetxt(file, np.column_stack([known.q[:, k], known.tau[:, k]]), delimiter=",")
+    pattern = "{joint}_joint_states[0]"
+    with pytest.raises(InputError, match=re.escape(f"such as q={pattern})")):
+        bayesid.read_recording(files, known.urdf, joints=JOINTS, join_files=True, rate=125.0)
+    made = bayesid.read_recording(
+        files, known.urdf, joints=JOINTS, join_files=True, rate=125.0, columns={"q": pattern, "tau": pattern.replace("0", "1")}
+    )
+    np.testing.assert_allclose(made.experiment.motions[0].table.torques, known.tau, rtol=1e-12, atol=1e-12)
 
 
 def test_the_command_line_does_the_same(known, tmp_path, capsys):
