@@ -400,6 +400,12 @@ def test_a_long_tool_or_a_heavy_load_in_the_wrist_is_no_mistake(mass: float, cen
     assert mass > 1.2 or ("force_unit", "kgf") in names(in_kgf)
 
 
+def test_forces_that_a_tool_of_unusual_length_would_read_are_said_to_be_right_there(tmp_path: Path) -> None:
+    """At rest a body ten times as far away reads the moments of forces in kgf: no reading tells the two apart."""
+    (found,) = find_mistakes(weighed(tmp_path, np.array([0.0, 0.0, -9.81]), 1.2, (0.01, 0.0, 0.6)))
+    assert found.name == "force_unit" and "they are right where the centre of mass" in found.text and "over 0.4 m" in found.text
+
+
 @pytest.mark.parametrize(("axis", "angle"), [("x", 80.0), ("y", 80.0), ("y", 100.0), ("y", 105.0)])
 def test_a_base_at_any_angle_is_named_once_where_zeros_of_joints_say_as_much(axis: str, angle: float, tmp_path: Path) -> None:
     """Near a wall, joints that count from another zero explain as much as a wall does: nothing was named then, or gravity upside

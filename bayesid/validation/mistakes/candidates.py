@@ -16,7 +16,7 @@ from bayesid.dynamics.kinematics import P, R, W, link_states
 from bayesid.recordings.complaints import in_words
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot.robot import Robot
-from bayesid.validation.mistakes.evidence import Change
+from bayesid.validation.mistakes.evidence import TOOL_REACH, Change
 from bayesid.validation.mistakes.samples import Samples
 
 _DIRECTIONS = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
@@ -209,8 +209,11 @@ def zeros(names: Sequence[str], angles: np.ndarray) -> Candidate:
     )  # fmt: skip
 
 
-def of_wrench(sensor: Sensor) -> list[Candidate]:
-    """Signs, order, units and frame of a wrench, sensor frame, moments about the sensor origin."""
+def of_wrench(sensor: Sensor, tool: bool = False) -> list[Candidate]:
+    """Signs, order, units and frame of a wrench, sensor frame, moments about the sensor origin.
+
+    Poses show a ``tool`` alike whose forces are in a larger unit and whose centre of mass is so many times as far away.
+    """
     forces, moments, both = (0, 1, 2), (3, 4, 5), np.eye(2)
     rotation = sensor.rotation
     shift = rotation.T @ sensor.translation
@@ -228,7 +231,10 @@ def of_wrench(sensor: Sensor) -> list[Candidate]:
         says = f"the moments seem to be in {unit}"
         table.append(("moment_unit", unit, says, "write mx, my and mz in N m", scaled(6, moments, factor)))
     for unit, factor in (("kN", 1e3), ("kgf", _KILOGRAM_FORCE)):
-        table.append(("force_unit", unit, f"the forces seem to be in {unit}", "write them in N", scaled(6, forces, factor)))
+        remedy = "write them in N"
+        if tool:
+            remedy += f"; they are right where the centre of mass of what the sensor carries is over {TOOL_REACH:g} m away"
+        table.append(("force_unit", unit, f"the forces seem to be in {unit}", remedy, scaled(6, forces, factor)))
     if np.abs(rotation - rotation.T).max() > 1e-3:
         says = "the sensor's rotation seems to be the inverse of the stated one"
         remedy = "write the orientation of the sensor in its link ([sensor] rpy), not that of the link in the sensor"
@@ -327,7 +333,7 @@ def candidates(experiment: Experiment, channel: str, samples: Samples) -> list[C
         out, columns = of_signs(names, measured), tuple(f"tau{j + 1}" for j in measured)
     else:
         assert experiment.sensor is not None
-        out, columns = of_wrench(experiment.sensor), WRENCH_NAMES
+        out, columns = of_wrench(experiment.sensor, tool=robot.sensor_bodies.sum() == 1), WRENCH_NAMES
         if robot.sensor_parent >= 0:
             out += in_base_axes(base_axes(robot, experiment.sensor, samples.positions))
         out += of_signs(names, ())

@@ -31,7 +31,7 @@ _OVERHANG = 0.5
 #: Length of a link where the URDF tells none [m].
 _USUAL_LENGTH = 0.2
 #: How far the centre of mass of what is carried may be from where the last joint's link begins [m]: no URDF tells.
-_TOOL_REACH = 0.4
+TOOL_REACH = 0.4
 _MASS_BY_LENGTH = 12.0  # [kg/m]
 #: How many times as heavy as usual no body is, in whatever unit torques are.
 _HEAVIEST = 1e4
@@ -55,7 +55,7 @@ def body_generators(robot: Robot) -> np.ndarray:
         ends = np.vstack([np.zeros((1, 3)), robot.rods[robot.rod_joint == robot.body_joint[k]].reshape(-1, 3)])
         low, high = ends.min(axis=0), ends.max(axis=0)
         size = max(float(np.max(high - low)), usual)
-        over = _OVERHANG * size if robot.body_joint[k] in robot.parent else max(_OVERHANG * size, _TOOL_REACH)
+        over = _OVERHANG * size if robot.body_joint[k] in robot.parent else max(_OVERHANG * size, TOOL_REACH)
         corners = itertools.product(*zip(low - over, high + over, strict=True))
         for corner in corners:
             columns.append(np.zeros(10 * count))
