@@ -21,7 +21,7 @@ from bayesid.results.identification import Identification
 from bayesid.robot import inertia
 from bayesid.rounding import DASH, chance, channel_text, ends, number, percent, with_interval
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable, tag
-from bayesid.validation.prediction import BAND, Prediction, judged, still_predictable, worse_than_nothing
+from bayesid.validation.prediction import BAND, Prediction, judged, of_signal, still_predictable, worse_than_nothing
 
 #: So many entries of a list are shown.
 _SHOWN = 8
@@ -222,7 +222,7 @@ def _verdict(result: Identification) -> str:
     text = (
         f"{count} On {unseen} not used for the fit (‘{worst.motion}’), the {channel_text(problem.channel)} "
         f"{'are' if problem.channel != 'wrench' else 'is'} predicted with an error of {percent(worst.relative_error, 2)} of "
-        f"the signal below {number(BAND, 2)} Hz ({_sizes(worst)}; {percent(worst.relative_error_raw, 2)} on raw samples); "
+        f"{of_signal(worst)} ({_sizes(worst)}; {percent(worst.relative_error_raw, 2)} on raw samples); "
         f"{judged(worst).text}. {still_predictable(worst)}"
     ).rstrip()
     if worst.repeats:
@@ -316,7 +316,7 @@ def _title(prediction: Prediction, role: str) -> str:
 def _said(p: Prediction) -> str:
     """How well a motion is predicted."""
     text = (
-        f"Error {percent(p.relative_error, 3)} of the signal below {number(BAND, 2)} Hz, {_sizes(p)} "
+        f"Error {percent(p.relative_error, 3)} of {of_signal(p)}, {_sizes(p)} "
         f"({percent(p.relative_error_raw, 3)} on raw samples); {judged(p).text}. {still_predictable(p)}"
     ).rstrip()
     if p.repeats:

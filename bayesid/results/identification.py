@@ -40,7 +40,7 @@ from bayesid.section import as_html, as_text
 from bayesid.validation.agreement import Agreement
 from bayesid.validation.noise_floor import NoiseFloor
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
-from bayesid.validation.prediction import BAND, Prediction, over_noise, predict, predict_elsewhere, still_predictable
+from bayesid.validation.prediction import Prediction, of_signal, over_noise, predict, predict_elsewhere, still_predictable
 
 
 @dataclass(frozen=True)
@@ -310,8 +310,9 @@ def summary(result: Identification) -> str:
     ]
     for prediction in (*result.fitted, *result.validation):
         lines.append(
-            f"  {prediction.role} '{prediction.motion}': error {100 * prediction.relative_error:.3g} % of the signal below "
-            f"{BAND:.2g} Hz ({100 * prediction.relative_error_raw:.3g} % raw), residual {over_noise(prediction)}"
+            f"  {prediction.role} '{prediction.motion}': error {100 * prediction.relative_error:.3g} % of {of_signal(prediction)}"
+            f"{'' if prediction.poses else f' ({100 * prediction.relative_error_raw:.3g} % raw)'}, residual "
+            f"{over_noise(prediction)}"
         )
         if prediction.flexible is not None:
             lines.append(f"    {still_predictable(prediction)}")

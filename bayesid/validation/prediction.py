@@ -480,6 +480,11 @@ def still_predictable(prediction: Prediction) -> str:
     return f"A flexible model of position, speed and acceleration would still remove {share}: {lack}."
 
 
+def of_signal(prediction: Prediction) -> str:
+    """What an error is a share of; poses one by one have no frequencies."""
+    return "the signal" if prediction.poses else f"the signal below {BAND:.2g} Hz"
+
+
 def over_noise(prediction: Prediction) -> str:
     """The residual over the noise, and which noise that is."""
     if prediction.noise_source == RESIDUALS:

@@ -52,7 +52,7 @@ def missing_rotors(
     Joint torques hardly show masses. Where the links must be far from the stated ones all the same, they stand for inertia that
     no link has, as a rule that of the drives' rotors, which acts about each joint's axis alone. It is tried there, and where the
     model is incomplete, to see whether it is complete then; unless a mistake in the data is known that has to be undone first
-    (``mistaken``).
+    (``mistaken``), or poses at rest are all that is fitted, which show no inertia.
     """
     robot = problem.experiment.robot
     if problem.channel != "torque" or not states_masses(robot):
@@ -69,11 +69,14 @@ def missing_rotors(
     k = int(np.argmax(np.abs(found - stated)))
     said = (
         f"The links of identified.urdf are no usable result: they have {found.sum():.3g} kg in all, those of the URDF "
-        f"{stated.sum():.3g} kg ({robot.body_names[k]}: {found[k]:.3g}, stated {stated[k]:.3g}), to have the inertias that the "
-        "estimate asks for. "
+        f"{stated.sum():.3g} kg ({robot.body_names[k]}: {found[k]:.3g}, stated {stated[k]:.3g}), to have the "
+        f"{'first moments' if problem.at_rest else 'inertias'} that the estimate asks for. "
     )
     if mistaken:
         return [] if links.usable else [f"{said}Undo the mistake that is named below, then fit again: do not rely on these."]
+    if problem.at_rest:
+        lacks = "The URDF's masses or inertias are wrong, or the model lacks something: do not rely on these."
+        return [] if links.usable else [said + lacks]
     effects = [effect.spec for effect in problem.row_model.effects]
     repaired = None
     if not any(spec.startswith(_ROTORS) for spec in effects):

@@ -18,7 +18,7 @@ from bayesid.regression.problem import Problem
 from bayesid.regression.readings import has_readings
 from bayesid.section import powers
 from bayesid.validation.agreement import Agreement
-from bayesid.validation.prediction import BAND, Prediction, judged, useless
+from bayesid.validation.prediction import Prediction, judged, of_signal, useless
 
 _CERTAIN = 3.0  # standard deviations below zero
 
@@ -134,13 +134,13 @@ def unpredicted(predictions: Sequence[Prediction]) -> list[str]:
         return []
     worst = max(off, key=lambda p: p.relative_error)
     if len(off) == 1:
-        said = f"an error of {100 * worst.relative_error:.3g} % of the signal below {BAND:.2g} Hz"
+        said = f"an error of {100 * worst.relative_error:.3g} % of {of_signal(worst)}"
         first = f"Motion '{worst.motion}' is predicted with {said}: "
     else:
         best = min(p.relative_error for p in off)
         first = (
             f"{len(off)} of {len(predictions)} motions that were not fitted are predicted with errors of {100 * best:.3g} to "
-            f"{100 * worst.relative_error:.3g} % of the signal below {BAND:.2g} Hz. '{worst.motion}' has the largest: "
+            f"{100 * worst.relative_error:.3g} % of {of_signal(worst)}. '{worst.motion}' has the largest: "
         )
     remedy = "Fit a motion for them." if worst.beyond else f"`{call('diagnose')}` looks for what is missing."
     return [f"{first}{judged(worst).text}. {remedy}"]

@@ -72,3 +72,17 @@ def test_real_arm_without_its_rotors(shared, name):
     assert not told(result)
     # The maker's masses, which no unloaded arm departs from by much.
     assert result.link_parameters[::10].sum() == pytest.approx(experiment.robot.nominal[:, 0].sum(), rel=0.05)
+
+
+def test_poses_at_rest_ask_for_no_inertia(tmp_path):
+    """Torques of five times the weight, as of an arm with a heavy tool: nothing in them is of inertias, or has a frequency."""
+    robot = puma2(tmp_path)
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (60, 2))
+    table = recording(robot, None, (np.arange(60.0), q, 0.0 * q, 0.0 * q), torque_std=0.02, seed=0)
+    table = dataclasses.replace(table, torques=5.0 * table.torques)
+    result = bayesid.identify(experiment(robot, [Motion("one", "identification", table, kind="poses")]))
+    assert not result.urdf.usable
+    (line,) = (w for w in result.warnings if "no usable result" in w)
+    assert "to have the first moments that the estimate asks for" in line and "inertia that" not in line and "rotor" not in line
+    (said,) = (text for text in str(result).splitlines() if "identification 'one'" in text)
+    assert "% of the signal, residual" in said and "Hz" not in said
