@@ -259,14 +259,28 @@ def check_velocities(table: Table, robot: Robot) -> list[str]:
     ]
 
 
+def _moves(by_position: np.ndarray) -> bool:
+    """Whether what a joint travels by its positions (k,) is a motion that velocities can be compared with."""
+    weights = np.abs(by_position)
+    # What moved by half of its way at once jumped, such as a joint at rest whose first reading came after the first row.
+    return bool(len(weights) and 2e-3 <= weights.max() < 0.5 * weights.sum())
+
+
+def zero_velocities(table: Table) -> list[int]:
+    """Joints that move although their velocities are 0 in every row."""
+    if table.velocities is None:
+        return []
+    zero = np.flatnonzero(~table.velocities.any(axis=0)).tolist()
+    return [j for j in zero if _moves(_travel(table, table.velocities, j)[0])]
+
+
 def _velocity_scale(table: Table, robot: Robot, j: int) -> float | None:
     """How many times too fast a velocity column is; None where its joint does not move, or an `InputError` as of another unit."""
     assert table.velocities is not None
     by_position, by_velocity = _travel(table, table.velocities, j)
     weights = np.abs(by_position)
     place = f"{table.source}: column v{j + 1}"
-    # What moved by half of its way at once jumped, such as a joint at rest whose first reading came after the first row.
-    if not len(weights) or not 2e-3 <= weights.max() < 0.5 * weights.sum():
+    if not _moves(by_position):
         return None
     if not table.velocities[:, j].any():
         raise InputError(f"{place}: 0 in every row although {robot.joint_names[j]} moves; leave the v columns out")

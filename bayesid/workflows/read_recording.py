@@ -23,7 +23,7 @@ from bayesid.recordings.importing.found_columns import currents, stated_times, w
 from bayesid.recordings.importing.recording import Recording, joined_files, make_recording, read_source
 from bayesid.recordings.importing.signals import STALLED, Signal
 from bayesid.recordings.importing.stream import Source, kind_of
-from bayesid.recordings.motion_checks import without_stalls
+from bayesid.recordings.motion_checks import without_stalls, zero_velocities
 from bayesid.recordings.robot_section import robot_doubts, with_stated_effects
 from bayesid.results.imported import Delay, Imported, ImportedRecording
 from bayesid.robot.robot import load_robot
@@ -183,11 +183,8 @@ def read_recording(
     ]
     if hold_out is not None:
         motions = [part for motion in motions for part in _halves(motion, hold_out)]
-    motions, whole = [_without_stalls(motion) for motion in motions], motions
-    notes += [
-        f"{motion.name}: {STALLED.format(len(all_rows.table) - len(motion.table), len(all_rows.table), '')}"
-        for all_rows, motion in zip(whole, motions, strict=True) if len(motion.table) < len(all_rows.table)
-    ]  # fmt: skip
+    usable = [_usable(motion, joints) for motion in motions]
+    motions, notes = [motion for motion, _ in usable], [*notes, *(text for _, texts in usable for text in texts)]
     if not any(motion.role == "validation" for motion in motions):
         notes.append(
             f"no recording for validation: name one ({argument('validation')}), or hold out the end of this one "
@@ -237,9 +234,24 @@ def _halves(motion: Motion, share: float) -> list[Motion]:
     return [replace(motion, table=table[:cut]), Motion(f"{motion.name}-end", "validation", end, kind=motion.kind)]
 
 
-def _without_stalls(motion: Motion) -> Motion:
-    """A motion without old samples at the times of new ones: one held out may be slow beside the rest of its recording."""
-    return replace(motion, table=without_stalls(motion.table)) if motion.kind == "trajectory" else motion
+def _usable(motion: Motion, joints: Sequence[str]) -> tuple[Motion, list[str]]:
+    """A motion without velocities that are none and old samples at the times of new ones, and what was left out.
+
+    What is held out may be slow beside the rest of its recording, and seem to rest there.
+    """
+    if motion.kind != "trajectory":
+        return motion, []
+    notes, table = [], motion.table
+    if zero := zero_velocities(table):
+        notes.append(
+            f"{motion.name}: velocities are 0 in every row of {listed([joints[j] for j in zero], 4)}, which move"
+            f"{'s' if len(zero) == 1 else ''}: not used, they are those of the positions"
+        )
+        table = replace(table, velocities=None)
+    whole, table = len(table), without_stalls(table)
+    if len(table) < whole:
+        notes.append(f"{motion.name}: {STALLED.format(whole - len(table), whole, '')}")
+    return replace(motion, table=table), notes
 
 
 def _locked(

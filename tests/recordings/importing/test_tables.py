@@ -262,6 +262,16 @@ def test_old_samples_of_a_slow_end_that_is_held_out_are_left_out_as_check_finds_
     assert sum("repeat the row before" in text for text in imported.done) == 1
 
 
+def test_velocities_of_zeros_are_not_used(known, tmp_path):
+    """A controller that does not fill in a velocity: the whole log was refused, which has the positions."""
+    frame = pd.DataFrame({"t": known.t} | {f"q{k + 1}": known.q[:, k] for k in range(2)} | {"v1": known.v[:, 0], "v2": 0.0})
+    frame["tau1"], frame["tau2"] = known.tau.T
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, locked={"gripper": 0.0})
+    assert imported.experiment.motions[0].table.velocities is None
+    assert any("velocities are 0 in every row of elbow, which moves: not used" in text for text in imported.done)
+
+
 def test_joints_that_are_not_used_stand_where_they_were_recorded(known, tmp_path):
     """Only the shoulder is identified: the elbow, which moves, is locked in the middle, and that is told."""
     by_joint(known, time=known.t).to_csv(tmp_path / "log.csv", index=False)
