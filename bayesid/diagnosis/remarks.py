@@ -91,8 +91,8 @@ def remarks(
             "The prior relative standard deviation of the nominal inertias is not stated (inertia_rel_std): every rigid "
             "parameter is free, and a payload or a wrong inertia cannot be told from the nominal model being wrong."
         )
-    if verdict == "nothing_missing":
-        out += _of_the_links(search)
+    if verdict in ("nothing_missing", "unknown"):
+        out += _of_the_links(search, verdict)
     if found or reason == "moment":
         known = [x for x in stability if x is not None and x.rests_on is not None]
         out += [moment_sentence(x, data.settings.accept, poses=data.poses) for x in known]
@@ -185,7 +185,7 @@ def _at_an_end(term: Term) -> list[str]:
     return out
 
 
-def _of_the_links(search: Search) -> list[str]:
+def _of_the_links(search: Search, verdict: str) -> list[str]:
     """Links that the data put further from the nominal ones than these are trusted.
 
     With u ~ N(0, 1) the links over their prior and S their covariance given the data, estimates scatter by N(0, 1 - S) if data
@@ -204,11 +204,13 @@ def _of_the_links(search: Search) -> list[str]:
     away = search.best.links - data.prior.mean
     masses = away[::10] / np.sqrt(np.diag(data.prior.covariance)[::10])
     k = int(np.argmax(np.abs(masses)))
+    why = "A body that hangs there, a wrong URDF or too much trust: too little to name one of them, for a link has ten numbers."
+    if verdict == "unknown":
+        why = "A body that hangs there or was taken off, a wrong URDF, too much trust, or what is missing puts them there."
     return [
         f"The links lie further from the nominal ones than inertia_rel_std = {data.experiment.inertia_rel_std:g} allows: squared "
         f"distance {distance:.3g} where about {clear.sum()} is expected (probability {chance:.1g}). Of the masses it is most in "
-        f"that of {data.robot.body_names[k]}, {search.best.links[10 * k]:.3g} kg, nominally {data.prior.mean[10 * k]:.3g}. A "
-        "body that hangs there, a wrong URDF or too much trust: too little to name one of them, for a link has ten numbers."
+        f"that of {data.robot.body_names[k]}, {search.best.links[10 * k]:.3g} kg, nominally {data.prior.mean[10 * k]:.3g}. {why}"
     ]
 
 

@@ -469,9 +469,11 @@ def _frozen(table: Table, j: int, stalled: np.ndarray, resolution: float | None)
         if t[b] - t[a] <= FROZEN_TIME or stalled[a + 1 : b + 1].all():
             continue  # the latter is said for the whole row already
         if table.velocities is not None:
-            v = table.velocities[a : b + 1, j]
+            v, turns = table.velocities[a : b + 1, j], np.abs(np.diff(table.velocities[:, j]))
             count = resolution or float(steps[steps > 0.0].min())
-            frozen = abs(np.trapezoid(v, t[a : b + 1])) > max(20.0 * count, MATCH) and np.abs(v).mean() > 0.05 * top
+            # Two counts of the speed are the flicker of a joint at rest, and some drives never read zero.
+            least = max(0.05 * top, 2.0 * float(turns[turns > 0.0].min()) if turns.any() else 0.0)
+            frozen = abs(np.trapezoid(v, t[a : b + 1])) > max(20.0 * count, MATCH) and np.abs(v).mean() > least
         else:
             # A joint at rest cannot be somewhere else one sample later.
             jumps = b < len(steps) and steps[b] > 5.0 * usual and t[b + 1] - t[b] < GAP * table.step

@@ -191,6 +191,11 @@ def _checked(data: bytes, path: Path, notes: tuple[str, ...] = (), inside: dict 
         _check_numbers(element, known[name].kind, at_joint[name])
     root_link = _check_tree(links, known, wrong)
     bodies = {name: stated_body(element, partial(wrong, key=f"link {_cut(name)}")) for name, element in links.items()}
+    for name, element in links.items():
+        stated = element.find("inertial/mass")
+        if stated is not None and float(stated.get("value", "0")) > 0.0 and not bodies[name].any():
+            element.remove(element.find("inertial"))
+            data = ET.tostring(root)
     fixed: dict[str, list[str]] = {}
     for joint in known.values():
         fixed.setdefault(joint.parent, []).extend([joint.child] * (joint.kind == "fixed"))
@@ -290,7 +295,7 @@ def _check_tree(links: Iterable[str], joints: dict[str, UrdfJoint], wrong: Wrong
 
 
 def stated_body(link: ET.Element, wrong: Wrong) -> np.ndarray:
-    """Ten parameters of a link about its own origin (10,); zero without an ``<inertial>``."""
+    """Ten parameters of a link about its own origin (10,); zero without an ``<inertial>``, or with one of a mass next to none."""
     inertial = link.find("inertial")
     if inertial is None:
         return np.zeros(10)
@@ -300,12 +305,14 @@ def stated_body(link: ET.Element, wrong: Wrong) -> np.ndarray:
     m = _number(mass.get("value"), "mass", wrong)
     if m < 0.0:
         raise wrong(f"mass {m:g} kg", value=m, remedy="masses are 0 or more: correct it")
-    if m > HEAVIEST or 0.0 < m < LIGHTEST:
-        raise wrong(f"mass {m:g} kg is no link's", value=m, remedy=f"write kilograms, {LIGHTEST:g} to {HEAVIEST:g}, or 0")
+    if m > HEAVIEST:
+        raise wrong(f"mass {m:g} kg is no link's", value=m, remedy=f"write kilograms, up to {HEAVIEST:g}")
     tensor = np.zeros((3, 3))
     for key, (i, k) in inertia.ENTRIES.items():
         tensor[i, k] = tensor[k, i] = _number(about.get(key), key, wrong, LARGEST)
     com, rpy = _origin(inertial, wrong)
+    if m < LIGHTEST and m > 0.0:
+        return np.zeros(10)
     rotation = pin.rpy.rpyToMatrix(*map(float, rpy))
     return inertia.from_mass_com_inertia(m, com, rotation @ tensor @ rotation.T)
 

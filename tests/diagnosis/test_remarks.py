@@ -34,17 +34,21 @@ def test_links_are_said_to_lie_too_far_out_as_often_as_their_law_has_it():
     for scale in said:
         for _ in range(2000):
             readings = columns @ (scale * rng.normal(size=26)) + rng.normal(size=60)
-            said[scale] += bool(_of_the_links(_search(r, np.linalg.solve(r.T @ r, columns.T @ readings))))
+            said[scale] += bool(_of_the_links(_search(r, np.linalg.solve(r.T @ r, columns.T @ readings)), "nothing_missing"))
     assert said[1.0] <= 8  # of 2,000 at a chance of 0.001: more than that has a probability of 2e-4
     assert said[3.0] > 1700
 
 
 def test_the_mass_that_is_furthest_out_is_told():
     r = np.diag(np.full(20, 100.0))
-    (text,) = _of_the_links(_search(r, np.where(np.arange(20) == 10, 9.0, 0.0)))
-    assert "lower, 19 kg, nominally 10" in text and "81" in text
+    far = _search(r, np.where(np.arange(20) == 10, 9.0, 0.0))
+    (text,) = _of_the_links(far, "nothing_missing")
+    assert "lower, 19 kg, nominally 10" in text and "81" in text and "too little to name one of them" in text
     assert CONFLICT == 1e-3
-    assert _of_the_links(_search(r, np.zeros(20))) == []
+    assert _of_the_links(_search(r, np.zeros(20)), "nothing_missing") == []
+    # Where something is missing it may be that: a URDF with a gripper that the robot does not have was not told.
+    (text,) = _of_the_links(far, "unknown")
+    assert "or was taken off" in text and "or what is missing puts them there" in text
 
 
 def test_a_value_at_an_end_of_its_range_is_told():

@@ -224,6 +224,18 @@ def test_doubts_are_warnings_that_say_where(damage: Callable[[Path], None], says
     assert REMEDY.search(warnings[0]), warnings[0]
 
 
+def test_a_joint_that_is_held_by_a_drive_that_never_reads_zero_speed_is_not_frozen(folder: Path) -> None:
+    """It dithers by a few counts late in the recording; the drive reads half a count of speed, or one more, where it stands."""
+
+    def held(frame: pd.DataFrame) -> pd.DataFrame:
+        late, count = np.arange(len(frame)) > 250, 0.0147
+        speed = count * (np.arange(len(frame)) % 7 == 0) - 0.5 * count
+        return frame.assign(q2=2e-4 * late * (np.arange(len(frame)) // 20 % 4), v2=speed)
+
+    table(held, "validation.csv")(folder)
+    assert not [text for text in load_experiment(folder).warnings if "frozen" in text]
+
+
 @pytest.mark.parametrize("header", ["t, q1 ,q2", ' t,"q1",q2 '], ids=["blanks", "quotes"])
 def test_blanks_and_quotes_around_names_do_not_matter(header: str, folder: Path) -> None:
     expected = load_experiment(folder).motions[0].table

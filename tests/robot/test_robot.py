@@ -219,3 +219,18 @@ def test_meshes_beside_the_robots_file_are_found_from_any_folder(tmp_path):
     names = [mesh.get("filename") for mesh in ET.parse(other / "identified.urdf").iter("mesh")]
     assert [Path(name) for name in names[:2]] == [(own / "meshes" / "a.stl").resolve(), (tmp_path / "b.stl").resolve()]
     assert tuple(names[2:]) == kept
+
+
+def test_a_mass_that_stands_for_none_is_none(tmp_path):
+    """As of a frame at the tip whose link some programs do not take without <inertial>."""
+    text = ROBOTS["ur5"]()
+    held = {joint.find("parent").get("link") for joint in ET.fromstring(text).iter("joint")}
+    (tip,) = {link.get("name") for link in ET.fromstring(text).iter("link")} - held
+    tiny = '<inertial><mass value="1e-15"/><inertia ixx="1e-11" ixy="0" ixz="0" iyy="1e-11" iyz="0" izz="1e-11"/></inertial>'
+    ends = f'<parent link="{tip}"/><child link="frame"/>'
+    frame = f'<link name="frame">{tiny}</link><joint name="at" type="fixed">{ends}</joint></robot>'
+    whole, framed = (load_robot(write(tmp_path, t)) for t in (text, text.replace("</robot>", frame)))
+    np.testing.assert_array_equal(framed.nominal, whole.nominal)
+    assert framed.description.warnings == whole.description.warnings
+    with pytest.raises(InputError, match="link frame: mass 1e[+]09 kg is no link's; write kilograms, up to 1e[+]07"):
+        load_robot(write(tmp_path, text.replace("</robot>", frame.replace("1e-15", "1e9"))))
