@@ -271,7 +271,8 @@ class _Finder:
             return f"the log's joints are {listed(names, 8)}: say which is which ({option})"
         groups = _groups(self.streams)
         sized = [name for name, size in groups.items() if size == len(joints) > 1]
-        likely = [name for name in sized if _is_called(name, "q")] or _a_joint(groups, self.stated.names_of(joints)) or sized
+        likely = [name for name in sized if _is_called(name, "q")] or [name for name in sized if name[-1] != "]"]
+        likely = likely or _a_joint(groups, self.stated.names_of(joints)) or sized
         part = f"{columns[0].removesuffix('[0]')}[0:{len(joints)}]"  # of an array whose entries have no names
         alone = len(groups) == 1 and len(columns) >= len(joints) and columns[0].endswith("[0]")
         example = f"q={likely[0] if likely else part if alone else '{joint}/position' if len(columns) > 1 else '...'}"
@@ -407,25 +408,27 @@ def _words_of(name: str) -> set[str]:
 
 
 def _groups(streams: Sequence[Stream]) -> dict[str, int]:
-    """Columns as a user may name them together, an array ``state[0:6]`` or numbers ``current_{0}``, and how many each stands for.
+    """Columns as a user may name them together, an array ``state[0:6]`` or numbers ``J{1} Angle``, and how many each stands for.
 
     What stands in longer streams comes first, then in the order of the recording.
     """
-    numbers: dict[tuple[str, str], list[int]] = defaultdict(list)
+    numbers: dict[tuple[str, str, str], list[int]] = defaultdict(list)
     for stream in sorted(streams, key=lambda s: -max(map(len, s.columns.values()), default=0)):
         for column in stream.columns:
             match = re.fullmatch(r"(.*?)(\[?)(\d+)(\]?)", name := stream.full_name(column))
             if match and bool(match[2]) == bool(match[4]):
-                numbers[match[1], match[2]].append(int(match[3]))
+                numbers[match[1], match[2], ""].append(int(match[3]))
+            elif match := re.fullmatch(r"(\D*)(0|[1-9]\d*)(\D+)", name):
+                numbers[match[1], "", match[3]].append(int(match[2]))
             else:
-                numbers[name, "-"].append(0)
+                numbers[name, "-", ""].append(0)
     out: dict[str, int] = {}
-    for (name, kind), found in numbers.items():
+    for (name, kind, end), found in numbers.items():
         first = min(found)
         if kind == "[" and found == list(range(len(found))):
             out[f"{name}[0:{len(found)}]"] = len(found)
         elif not kind and len(found) > 1 and first < 2 and sorted(found) == list(range(first, first + len(found))):
-            out[f"{name}{{{first}}}"] = len(found)
+            out[f"{name}{{{first}}}{end}"] = len(found)
         else:
-            out |= dict.fromkeys((name if kind == "-" else f"{name}[{k}]" if kind else f"{name}{k}" for k in found), 1)
+            out |= dict.fromkeys((name if kind == "-" else f"{name}[{k}]" if kind else f"{name}{k}{end}" for k in found), 1)
     return out

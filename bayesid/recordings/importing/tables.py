@@ -191,7 +191,8 @@ def _list_columns(name: str, cells: np.ndarray) -> dict[str, np.ndarray]:
     """Columns of one whose cells are lists of one length, as pandas and numpy write them; any other as it is."""
     if cells.dtype != object or not all(isinstance(cell, str) for cell in cells):
         return {name: cells}
-    lists = [re.fullmatch(r"(?:array\((?:'\w', )?)?[\[(]([^][()]*)[\])]+", cell.strip()) for cell in cells]
+    plain = (re.sub(r"np\.\w+\(([^()]*)\)", r"\1", cell.strip()) for cell in cells)  # a list of numpy's own numbers
+    lists = [re.fullmatch(r"(?:array\((?:'\w', )?)?[\[(]([^][()]*)[\])]+", cell) for cell in plain]
     rows = [re.findall(r"[^\s,]+", found[1]) for found in lists if found]
     if len(rows) < len(cells) or len({len(row) for row in rows}) != 1:
         return {name: cells}

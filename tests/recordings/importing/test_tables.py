@@ -177,6 +177,24 @@ def test_words_of_a_single_joint_need_no_number(known, tmp_path):
         only(tmp_path / "log.csv", known, joints=JOINTS)
 
 
+def test_numbers_within_names_make_the_example(known, tmp_path):
+    """As drives and spreadsheets write them; the example is what to write, with the names' own units."""
+    frame = pd.DataFrame({"Time(ms)": known.t * 1e3})
+    for k in range(2):
+        frame[f"J{k + 1}_Angle(deg)"], frame[f"J{k + 1}_Torque(Nm)"] = known.q[:, k] * DEGREE, known.tau[:, k]
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(
+        InputError, match=re.escape("q=J{1}_Angle(deg)); its columns are: J{1}_Angle(deg), J{1}_Torque(Nm), Time")
+    ):
+        only(tmp_path / "log.csv", known, joints=JOINTS)
+    with pytest.raises(InputError, match=re.escape("such as tau=J{1}_Torque(Nm))")):
+        only(tmp_path / "log.csv", known, joints=JOINTS, columns={"q": "J{1}_Angle(deg)"})
+    stated = {"q": "J{1}_Angle(deg)", "tau": "J{1}_Torque(Nm)"}
+    table = only(tmp_path / "log.csv", known, joints=JOINTS, columns=stated)
+    np.testing.assert_allclose(table.positions, known.q, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(table.times - table.times[0], known.t - known.t[0], atol=1e-9)
+
+
 def test_a_unit_that_is_not_stated_is_asked_for(known, tmp_path):
     frame = by_joint(known, time=known.t)
     positions = [column for column in frame if column.endswith("position")]
@@ -451,7 +469,10 @@ def test_a_joint_state_of_rostopic_is_read_by_its_names(known, tmp_path):
     np.testing.assert_array_equal(only(tmp_path / "log.csv", known).positions, known.q)
 
 
-@pytest.mark.parametrize("write", [list, tuple, np.array, lambda row: array("d", row)], ids=["list", "tuple", "numpy", "array"])
+@pytest.mark.parametrize(
+    "write", [list, tuple, np.array, lambda row: array("d", row), lambda row: list(np.array(row))],
+    ids=["list", "tuple", "numpy", "array", "numbers of numpy"],
+)  # fmt: skip
 def test_cells_that_are_lists_are_arrays(write, known, tmp_path):
     frame = pd.DataFrame({"time": known.t, "position": [write(row.tolist()) for row in known.q], "velocity": "[]"})
     frame["effort"] = [write(row.tolist()) for row in known.tau]
