@@ -293,7 +293,10 @@ def check_increasing(times: np.ndarray, source: str, place: Callable[[int], str]
     if len(wrong):
         row = int(wrong[0]) + 1
         before, here = float(times[row - 1]), float(times[row])
+        remedy = "times must strictly increase: export them again or remove those rows"
+        if (np.abs(times[wrong + 1] - times[0]) <= usual_step(times)).all():  # the clock starts again each time
+            remedy = "do recordings follow each other there? give each a file of its own"
         raise InputError(
             f"{source}: column t, {place(row)}: time goes back, {here:g} after {before:g} "
-            f"({len(wrong)} such rows); times must strictly increase: export them again or remove those rows"
+            f"({len(wrong)} such row{'s' * (len(wrong) != 1)}); {remedy}"
         )

@@ -177,6 +177,16 @@ def test_words_of_a_single_joint_need_no_number(known, tmp_path):
         only(tmp_path / "log.csv", known, joints=JOINTS)
 
 
+def test_recordings_that_follow_each_other_in_a_file_are_told(known, tmp_path):
+    half = len(known.t) // 2
+    times = np.concatenate([known.t[:half], known.t[: len(known.t) - half]])
+    by_joint(known, time=times).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(
+        InputError, match=r"time goes back, .* \(1 such row\); do recordings follow each other there\? give each a"
+    ):
+        only(tmp_path / "log.csv", known)
+
+
 def test_numbers_within_names_make_the_example(known, tmp_path):
     """As drives and spreadsheets write them; the example is what to write, with the names' own units."""
     frame = pd.DataFrame({"Time(ms)": known.t * 1e3})
