@@ -135,7 +135,7 @@ def _without_shapes(mujoco: Any, spec: Any) -> Any:
     shaped = [body for body in spec.bodies if len(body.geoms)]
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         return None
-    if any(not body.explicitinertial for body in shaped if body.name != "world"):
+    if any(not body.explicitinertial and _moves(body) for body in shaped):
         return None
     parts = (spec.sensors, spec.pairs, spec.skins, spec.geoms, spec.meshes, spec.hfields, spec.materials, spec.textures)
     try:
@@ -144,6 +144,15 @@ def _without_shapes(mujoco: Any, spec: Any) -> Any:
         return spec.compile()
     except ValueError:
         return None
+
+
+def _moves(body: Any) -> bool:
+    """Whether a body, or one that carries it, is on a joint; what is fixed to the world weighs on none."""
+    while body is not None:
+        if len(body.joints):
+            return True
+        body = body.parent
+    return False
 
 
 def _check_tree(mujoco: Any, model: Any, source: str) -> None:

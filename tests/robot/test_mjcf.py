@@ -217,6 +217,8 @@ def test_a_file_without_its_meshes_is_read_where_they_only_draw(tmp_path):
     body = '<body name="one"><joint name="a" axis="0 1 0"/>{}<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
     path = written(tmp_path, "<mujoco>" + mesh + body.format(inertial))
     assert load_robot(path).nominal[0, 0] == 2.0
+    base = '<body name="base"><geom type="mesh" mesh="m"/>' + body.format(inertial).replace("</body>", "</body></body>")
+    assert load_robot(written(tmp_path, "<mujoco>" + mesh + base)).nominal[0, 0] == 2.0  # what is fixed to the world states none
     path = written(tmp_path, "<mujoco>" + mesh + body.format(""))
     with pytest.raises(bayesid.InputError, match=r"robot.xml: MuJoCo does not read it \(.*there_is_none.stl"):
         load_robot(path)
