@@ -22,6 +22,7 @@ from urllib.request import urlopen
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from bayesid.argument_types import explains_types
 from bayesid.errors import InputError, required
 from bayesid.recordings.complaints import suggest
 from bayesid.recordings.experiment import Experiment, load_experiment
@@ -386,6 +387,7 @@ def fetch(name: str, cache: str | Path | None = None) -> Path:
     return made
 
 
+@explains_types
 def load(name: str, cache: str | Path | None = None) -> Experiment:
     """A public recording as an experiment; parameters and errors as `fetch`."""
     return load_experiment(fetch(name, cache))

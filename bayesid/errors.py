@@ -27,7 +27,8 @@ class InputError(BayesidError):
 
     def __init__(self, problem: str, *, file: str = "", key: str = "", value: object = None, remedy: str = ""):
         place = "".join(f"{part}: " for part in (file, key) if part)
-        super().__init__(place + problem + (f"; {remedy}" if remedy else ""))
+        text = place + problem + (f"; {remedy}" if remedy else "")
+        super().__init__(" ".join(text.split()) if "\n" in text else text)  # a value of several lines, such as an array
         self.file, self.key, self.value, self.remedy = file, key, value, remedy
 
 
@@ -49,5 +50,5 @@ class BayesidWarning(UserWarning):
 
 def require_seed(seed: Any) -> None:
     """Refuse a seed that is no whole number of at least 0, with an `InputError`."""
-    if not (hasattr(seed, "__index__") and seed >= 0):
+    if not (hasattr(seed, "__index__") and not getattr(seed, "ndim", 0) and seed >= 0):
         raise InputError(f"seed = {seed}: give a whole number of at least 0")

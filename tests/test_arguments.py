@@ -3,6 +3,7 @@
 import ast
 import inspect
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 
 import bayesid
 from bayesid import cli
+from bayesid.argument_types import explains_types
 from bayesid.arguments import argument, call, names, on_command_line, with_given
 from bayesid.design.excitation.options import ExcitationOptions
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -153,3 +155,47 @@ def test_no_message_of_the_library_names_options_or_commands():
         texts = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
         found += [(path.name, t) for t in texts if t not in docstrings and re.search(named, t)]
     assert found == []
+
+
+OF_A_WRONG_TYPE = {
+    "a number as a text": (lambda arm: bayesid.identify(arm, bandwidth="8"), "identify: bandwidth = '8': give a number"),
+    "numbers for names": (lambda arm: bayesid.identify(arm, effects=[1, 2]), r"effects = \[1, 2\]: give a text or a list"),
+    "a field of options": (
+        lambda arm: bayesid.identify(arm, options=bayesid.FitOptions(bandwidth="8")), "FitOptions bandwidth = '8': give a number"
+    ),
+    "a field of an estimator": (
+        lambda arm: bayesid.identify(arm, method=bayesid.Huber(constant="x")), "Huber constant = 'x': give a number"
+    ),
+    "an array for a text": (
+        lambda arm: bayesid.identify(arm, channel=np.zeros((3, 2))), r"channel = an array of shape \(3, 2\): give a text"
+    ),
+    "an array for a number": (lambda arm: bayesid.LowPass(np.ones(2), 50.0), r"LowPass: l = an array of shape \(2,\): give a n"),
+    "a text for an array": (lambda arm: bayesid.Sensor(translation="x"), "Sensor: translation = 'x': give an array of numbers"),
+    "nothing for a path": (lambda arm: bayesid.load(None), "load: path = None: give a text or a path"),
+    "a number for a robot": (lambda arm: bayesid.fourier_trajectory(3), "robot = 3: give a bayesid.Robot"),
+    "a text for a regression": (lambda arm: bayesid.Regression.from_arrays("a", "b"), "matrix = 'a': give an array of numbers"),
+    "numbers for pairs": (lambda arm: bayesid.Bounds(box={"a": 1}), "give a dict that holds a list of 2 lists of numbers"),
+    "a channel that is none": (lambda arm: bayesid.tell(arm, ["payload@joint2", "base_tilt"], channel="x"), "choose one of w"),
+    "seeds": (lambda arm: bayesid.sample(arm, seed=np.arange(2)), "give a whole number of at least 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("given", OF_A_WRONG_TYPE)
+def test_an_argument_of_a_wrong_type_is_named_in_a_line(given, arm):
+    """These ended in errors of Python deep inside, of which no one could tell what was wrong."""
+    call_it, said = OF_A_WRONG_TYPE[given]
+    with pytest.raises(bayesid.InputError, match=said) as raised:
+        call_it(arm)
+    assert "\n" not in str(raised.value)
+
+
+def test_errors_that_no_argument_explains_stay_what_they_are():
+    @explains_types
+    def broken(count: int, names: Sequence[str] = (), points: Sequence[Sequence[float]] | np.ndarray = ()) -> float:
+        return {}[count]
+
+    for given in ((3,), (np.int64(3), ["a"]), (3, ("a",), np.zeros((2, 2))), (3, ["a"], [[1, 2.0]])):
+        with pytest.raises(KeyError):
+            broken(*given)
+    with pytest.raises(TypeError, match="missing 1 required"):
+        broken()

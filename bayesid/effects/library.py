@@ -18,6 +18,7 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import argument
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.errors import InputError
@@ -319,6 +320,7 @@ def _where_else(c: type[Effect], where: str, joints: int) -> str:
     }[c.at]
 
 
+@explains_types
 def load_effects(path: str | Path, library: EffectLibrary | None = None) -> EffectLibrary:
     """The effects that there are, and those of a Python file.
 

@@ -9,6 +9,7 @@ from difflib import get_close_matches
 import numpy as np
 from scipy.stats import chi2
 
+from bayesid.argument_types import explains_types
 from bayesid.errors import BayesidWarning, EstimationError, InputError
 from bayesid.estimators.conic.physical import Physical
 from bayesid.estimators.errors_in_variables import InstrumentalVariables, TotalLeastSquares
@@ -38,6 +39,7 @@ DEFAULT_METHOD = "wls"
 UNLIKELY = 1e-4
 
 
+@explains_types
 def estimator(method: str | Estimator) -> Estimator:
     """The estimator of a name; an object that follows the interface is returned as it is.
 
@@ -61,6 +63,7 @@ def estimator(method: str | Estimator) -> Estimator:
     return METHODS[method]
 
 
+@explains_types
 def fit(regression: Regression, method: str | Estimator = DEFAULT_METHOD, prior: Prior | None = None) -> Estimate:
     """Estimate the parameters of a regression.
 

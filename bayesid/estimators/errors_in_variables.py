@@ -45,6 +45,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from bayesid.argument_types import explains_types
 from bayesid.errors import InputError
 from bayesid.estimators.covariance import SPECTRA, covariance_of_sums, sensor_alone
 from bayesid.estimators.estimator import OPTIONAL, Details, Estimate, strongest
@@ -168,6 +169,7 @@ class TotalLeastSquaresDetails(Details):
     verdict: str  # whether encoder noise matters
 
 
+@explains_types
 @dataclass(frozen=True)
 class TotalLeastSquares:
     """Structured total least squares: least squares corrected for the encoder noise in its regressor.
@@ -288,6 +290,7 @@ class InstrumentDetails(Details):
     durbin_wu_hausman: ShiftTest  # whether encoder noise matters
 
 
+@explains_types
 @dataclass(frozen=True)
 class InstrumentalVariables:
     """Instrumental variables, with the Durbin-Wu-Hausman test in the details."""

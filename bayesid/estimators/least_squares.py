@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import fminbound
 
+from bayesid.argument_types import explains_types
 from bayesid.errors import InputError
 from bayesid.estimators.covariance import covariance_middle
 from bayesid.estimators.estimator import Details, Estimate, largest_autocorrelation
@@ -44,6 +45,7 @@ class LeastSquaresDetails(Details):
     weights: str
 
 
+@explains_types
 @dataclass(frozen=True)
 class LeastSquares:
     """Least squares: ``weights`` is ``none`` (ols), ``channel`` (wls) or ``noise`` (gls)."""
@@ -82,6 +84,7 @@ class TruncationDetails(Details):
     rule: str
 
 
+@explains_types
 @dataclass(frozen=True)
 class Ridge:
     """Ridge regression towards the nominal parameters, or zero without a nominal model.
@@ -110,6 +113,7 @@ class Ridge:
         return _biased(self.name, regression, weights, factor, values, details, "ridge regression is biased towards its prior")
 
 
+@explains_types
 @dataclass(frozen=True)
 class TruncatedSVD:
     """Least squares in the directions of the largest singular values; the others stay nominal (or zero).

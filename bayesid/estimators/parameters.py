@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 def tails(level: float = LEVEL) -> tuple[float, float]:
     """Probabilities below the ends of a central interval; an `InputError` where the level is no probability."""
-    if not 0.0 < level < 1.0:
+    if not (isinstance(level, Real) and 0.0 < level < 1.0):
         raise InputError(f"level = {level}: give a probability between 0 and 1, such as 0.95")
     return 0.5 - level / 2, 0.5 + level / 2
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import argument
 from bayesid.errors import EstimationError, InputError
 from bayesid.posterior.checkpoint import load_checkpoint, mark_of, save_checkpoint
@@ -34,6 +35,7 @@ SMALLEST_ESS = 400.0
 Engine = ReflectiveGibbs | Ensemble
 
 
+@explains_types
 @dataclass(frozen=True)
 class Sampler:
     """How draws are made, for `bayesid.sample`.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import argument, call
 from bayesid.drawing import Plots
 from bayesid.effects.library import EffectLibrary
@@ -58,6 +59,7 @@ _UNVALIDATED = 'no motion has role "validation"'
 __all__ = ["WRENCH_COLUMNS", "Experiment", "Motion", "Sensor", "Table", "load_experiment"]
 
 
+@explains_types
 @dataclass(frozen=True, eq=False)
 class Experiment(Plots):
     """A robot and every recording made with it.
@@ -194,6 +196,7 @@ class Experiment(Plots):
         ]
 
     @classmethod
+    @explains_types
     def from_arrays(
         cls,
         urdf: str | Path | Robot,
@@ -395,6 +398,7 @@ def motions_named(motions: Sequence[M], asked: Sequence[str]) -> list[M]:
     return [by_name[name] for name in asked]
 
 
+@explains_types
 def load_experiment(folder: str | Path, library: EffectLibrary | None = None, *, planned: bool = False) -> Experiment:
     """Read and check an experiment folder.
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from bayesid.argument_types import explains_types
 from bayesid.drawing import Plots, figures_of
 from bayesid.errors import InputError
 from bayesid.recordings.stored import StoredTable
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@explains_types
 @dataclass(frozen=True, eq=False)
 class Motion(Plots):
     """One recording and what is known about it.

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
+from bayesid.argument_types import explains_types
 from bayesid.errors import InputError
 
 
+@explains_types
 @dataclass(frozen=True, eq=False)
 class Sensor:
     """The force/torque sensor.

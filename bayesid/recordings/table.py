@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import unmasked
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import columns_of
@@ -86,6 +87,7 @@ _BLOCK_ROWS = 200_000
 JOINT_GROUPS = {"positions": "q", "velocities": "v", "commanded": "qr", "torques": "tau"}
 
 
+@explains_types
 @dataclass(frozen=True, eq=False)
 class Table:
     """One recording of ``N`` samples of ``n`` joints; every array is read-only.

@@ -9,6 +9,7 @@ from typing import Any
 
 import tomli_w
 
+from bayesid.argument_types import explains_types
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import check_document, dump_model
@@ -16,6 +17,7 @@ from bayesid.recordings.table import write_table
 from bayesid.recordings.whole import whole_folder
 
 
+@explains_types
 def write_experiment(experiment: Experiment, folder: str | Path, extra: Mapping[str, str] | None = None) -> None:
     """Write an experiment folder that `bayesid.recordings.experiment.load_experiment` reads back as the same numbers.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import argument, names, with_given
 from bayesid.errors import InputError
 from bayesid.signals.filters import LowPass
@@ -18,6 +19,7 @@ NOT_FOR_REGRESSIONS = (
 STATIC = ("motion", "joint")
 
 
+@explains_types
 @dataclass(frozen=True)
 class FitOptions:
     """Which readings, motions and effects are fitted, and how readings become rows: what the verbs share.

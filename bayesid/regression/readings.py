@@ -23,8 +23,7 @@ def default_channel(experiment: Experiment) -> str:
 
 def make_channels(experiment: Experiment, channel: str) -> Channels:
     """Channels of an experiment; an `InputError` where the wrench is asked for and there is no sensor."""
-    if channel not in CHANNELS:
-        raise InputError(f"{argument('channel', channel)}: choose one of {', '.join(CHANNELS)}")
+    _require_channel(channel)
     if channel == "torque":
         return torque_channels(experiment.robot).only(experiment.torque_joints)
     if experiment.sensor is None:
@@ -36,8 +35,14 @@ def make_channels(experiment: Experiment, channel: str) -> Channels:
     return stack_channels(wrench, torque_channels(experiment.robot).only(experiment.torque_joints))
 
 
+def _require_channel(channel: str) -> None:
+    if channel not in CHANNELS:
+        raise InputError(f"{argument('channel', channel)}: choose one of {', '.join(CHANNELS)}")
+
+
 def has_readings(table: Table, channel: str) -> bool:
     """Whether a table has the readings of a channel."""
+    _require_channel(channel)
     wrench, torque = table.wrench is not None, table.torques is not None
     return {"wrench": wrench, "torque": torque, "both": wrench and torque}[channel]
 

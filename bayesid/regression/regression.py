@@ -12,6 +12,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import unmasked
 from bayesid.dynamics.base_parameters import BaseParameters, regroup
 from bayesid.errors import InputError
@@ -117,6 +118,7 @@ class Regression:
         return np.sqrt(np.einsum("ij,jk,ik->i", self.base.matrix, covariance, self.base.matrix))
 
     @classmethod
+    @explains_types
     def from_arrays(
         cls,
         matrix: np.ndarray,

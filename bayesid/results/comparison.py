@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import ByName
 from bayesid.drawing import figures_of
 from bayesid.errors import InputError
@@ -248,6 +249,7 @@ class Comparison(HasEntries, ShownResult):
         """Names of the base parameters (r,)."""
         return self.regression.base.names
 
+    @explains_types
     def predict(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None
     ) -> dict[str, PredictedReadings]:

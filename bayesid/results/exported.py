@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import ByName, argument
 from bayesid.errors import InputError
 from bayesid.results.files import SCHEMA, WRITTEN, Files, ShownResult
@@ -49,6 +50,7 @@ class Exported(ByName, ShownResult):
         """Text of a file."""
         return self.texts[name]
 
+    @explains_types
     def write(self, folder: str | Path) -> Path:
         """Write the files, ``export.json`` and ``report.html``, all or none; returns the report's path.
 

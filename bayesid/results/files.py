@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import argument
 from bayesid.drawing import Plots, registered_by_report
 from bayesid.errors import BayesidWarning, InputError
@@ -86,6 +87,7 @@ class Result(Plots, ABC):
         """Files beside the document and the report."""
         return {}
 
+    @explains_types
     def write(self, folder: str | Path) -> Path:
         """Write the verb's files and ``report.html``, all or none; returns the report's path.
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.argument_types import explains_types
 from bayesid.design.accuracy.certificate import CoverageCertificate
 from bayesid.effects import Term, with_places
 from bayesid.errors import InputError
@@ -131,6 +132,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
         """Whether every link of ``link_parameters`` can exist."""
         return not impossible_bodies(self.link_parameters.reshape(-1, 10), self.problem.experiment.robot.body_names)
 
+    @explains_types
     def predict(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None) -> PredictedReadings:
         """Readings of any motion, friction and other effects included, with their 95 % band.
 
@@ -299,6 +301,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
         return out
 
 
+@explains_types
 def summary(result: Identification) -> str:
     """A few lines for the terminal."""
     e, p, first = result.estimate, result.problem, [*result.unusable, *conflicts(result.prior_check)]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.argument_types import explains_types
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.importing.clock import date
@@ -127,6 +128,7 @@ class Imported:
             "done": list(self.done), "recordings": [_document(r) for r in self.recordings], "warnings": list(experiment.warnings),
         }  # fmt: skip
 
+    @explains_types
     def write(self, folder: str | Path) -> Path:
         """Write the experiment folder, with ``import.json`` in it, whole or not at all; returns its path.
 

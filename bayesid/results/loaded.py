@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import bayesid
+from bayesid.argument_types import explains_types
 from bayesid.arguments import call
 from bayesid.drawing import Plots, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters
@@ -376,6 +377,7 @@ _CLASSES: dict[str, type[Loaded]] = {
 }  # fmt: skip
 
 
+@explains_types
 def load(path: str | Path) -> Loaded:
     """The result of a verb, read back from what it wrote.
 

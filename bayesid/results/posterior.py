@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.argument_types import explains_types
 from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.estimators.parameters import Parameters, central_interval, tails
@@ -50,6 +51,7 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
     warnings: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
 
+    @explains_types
     def predict(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None) -> PredictedReadings:
         """Readings of any motion by the posterior's mean, with the 95 % band of its covariance; as `Identification.predict`."""
         _, mean, covariance = moments(self.columns)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesid.argument_types import explains_types
 from bayesid.errors import InputError
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
@@ -22,6 +23,7 @@ _POINT_LIKE = 0.25
 GUESS_STD = 10.0
 
 
+@explains_types
 @dataclass(frozen=True, eq=False)
 class Prior:
     """Link parameters ``phi ~ N(mean, precision^-1)``, restricted to bodies that can exist if ``physical``.

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import argument
 from bayesid.arguments import names as as_names
 from bayesid.errors import InputError
@@ -261,6 +262,7 @@ def joint_index(name: str, joints: Sequence[str]) -> int | None:
     return list(joints).index(name) if name in joints else None
 
 
+@explains_types
 def load_robot(
     urdf: str | Path | UrdfFile,
     joints: Sequence[str] | None = None,

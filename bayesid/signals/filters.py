@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from bayesid.argument_types import explains_types
 from bayesid.errors import InputError
 from bayesid.signals.projection import ROLL_OFF
 
@@ -23,6 +24,7 @@ _SPECTRUM = 4096
 _THINNING_ORDER = 8
 
 
+@explains_types
 @dataclass(frozen=True)
 class LowPass:
     """Two first-order low-passes in series, ``l / (l + s) * d / (d + s)``, of unit gain at zero frequency.

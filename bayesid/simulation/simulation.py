@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import argument
 from bayesid.dynamics.channels import WRENCH_NAMES, Channels, torque_channels, wrench_channels
 from bayesid.effects import REST_SPEED, Effect, EffectLibrary, EncoderEffect, MotionSegment, Term, TransmissionEffect, middle_of
@@ -44,6 +45,7 @@ _CHUNK = 8192  # samples whose readings are made at once
 _BANDWIDTH = 20.0
 
 
+@explains_types
 @dataclass(frozen=True)
 class Recorder:
     """The instruments. None: as the experiment states, else a common value.
@@ -144,6 +146,7 @@ def perturbed_links(robot: Robot, rel_std: float, seed: int = 0) -> np.ndarray:
     return links
 
 
+@explains_types
 def simulate(
     setup: Experiment | Robot | str | Path,
     trajectories: Sequence[Trajectory] | None = None,
@@ -220,6 +223,7 @@ def simulate(
     )  # fmt: skip
 
 
+@explains_types
 def write_simulation(simulation: Simulation, folder: str | Path) -> None:
     """Write the experiment folder with ``truth.json`` in it; see `bayesid.recordings.writer.write_experiment`."""
     truth = json.dumps(simulation.truth.to_dict(simulation.robot), indent=1, allow_nan=False)

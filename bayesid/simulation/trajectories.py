@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from bayesid.argument_types import explains_types
 from bayesid.errors import BayesidWarning, InputError
 from bayesid.recordings.examination import check_positions
 from bayesid.recordings.experiment import Experiment, Motion
@@ -28,6 +29,7 @@ _FEWEST = 8  # a spline of degree seven needs so many samples
 _DIGITS = "%.9g"
 
 
+@explains_types
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """A true motion.
@@ -59,6 +61,7 @@ class Trajectory:
         return f"<Trajectory {self.name} ({self.role}): {len(self.times)} samples, {self.positions.shape[1]} joints>"
 
 
+@explains_types
 def fourier_trajectory(
     robot: Robot,
     name: str = "identification",
@@ -195,6 +198,7 @@ def make_trajectories(
     return own
 
 
+@explains_types
 def write_trajectory(trajectory: Trajectory, path: str | Path) -> None:
     """Write a motion as CSV: ``t``, then positions, velocities and accelerations of joint 1 to n."""
     joints = range(1, trajectory.positions.shape[1] + 1)
@@ -205,6 +209,7 @@ def write_trajectory(trajectory: Trajectory, path: str | Path) -> None:
     pd.DataFrame(cells, columns=names).to_csv(path, index=False, float_format=_DIGITS)
 
 
+@explains_types
 def read_trajectory(
     path: str | Path, robot: Robot, role: Literal["identification", "validation"] = "identification"
 ) -> Trajectory:

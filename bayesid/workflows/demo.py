@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor
@@ -124,6 +125,7 @@ class Demo:
         return "\n".join(lines)
 
 
+@explains_types
 def demo(out: str | Path, seed: int = 0, progress: Progress = quiet) -> Demo:
     """Simulate, identify, compare with the truth; write the results and the experiment folder.
 

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
 
+from bayesid.argument_types import explains_types
 from bayesid.errors import require_seed
 
 #: Called with the name of every stage.
@@ -42,8 +43,8 @@ SHOWN = _Shown()
 
 
 def shows_progress(verb: Callable[_P, _R]) -> Callable[_P, _R]:
-    """A verb whose ``progress`` is a display while that is `SHOWN`, and whose ``seed`` has to be one."""
-    signature = inspect.signature(verb)
+    """A verb whose ``progress`` is a display while that is `SHOWN`, whose ``seed`` has to be one, and that `explains_types`."""
+    signature, explained = inspect.signature(verb), explains_types(verb)
 
     @functools.wraps(verb)
     def shown(*args: _P.args, **kwargs: _P.kwargs) -> _R:
@@ -53,10 +54,10 @@ def shows_progress(verb: Callable[_P, _R]) -> Callable[_P, _R]:
             raise TypeError(f"{verb.__name__}() {error}") from None
         require_seed(given.arguments.get("seed", 0))
         if given.arguments.get("progress", SHOWN) is not SHOWN:
-            return verb(*args, **kwargs)
+            return explained(*args, **kwargs)
         with _Display(verb.__name__) as display:
             given.arguments["progress"] = display
-            return verb(*given.args, **given.kwargs)
+            return explained(*given.args, **given.kwargs)
 
     return shown
 

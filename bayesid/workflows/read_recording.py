@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import argument
 from bayesid.arguments import names as as_names
 from bayesid.errors import InputError
@@ -42,6 +43,7 @@ _UNITS = {
 }  # fmt: skip
 
 
+@explains_types
 def read_recording(
     source: _Paths,
     urdf: str | Path,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import argument, names
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot, motion_limits
@@ -23,6 +24,7 @@ _TO_FULL_SPEED = 0.25
 BELOW_RESONANCE = 5.0
 
 
+@explains_types
 @dataclass(frozen=True)
 class ExcitationOptions:
     """What is asked for.

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from bayesid.argument_types import explains_types
 from bayesid.errors import InputError
 from bayesid.estimators.conic.problem import Linear
 from bayesid.robot import inertia
@@ -73,6 +74,7 @@ Corner = Sequence[float] | np.ndarray
 Rotation = Sequence[float] | Sequence[Sequence[float]] | np.ndarray
 
 
+@explains_types
 @dataclass(frozen=True)
 class Bounds:
     """Bounds on bodies by their names; frames are the bodies' (their joints'), as everywhere.
@@ -189,6 +191,7 @@ class Bounds:
         return tuple(group for group in out if len(group.low))
 
 
+@explains_types
 def load_bounds(path: str | Path, robot: Robot | None = None, locked: Mapping[str, float] | None = None) -> Bounds:
     """Bounds from a TOML file; see `Bounds.from_dict`.
 

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 from scipy.stats import chi2
 
+from bayesid.argument_types import explains_types
 from bayesid.arguments import call
 from bayesid.errors import BayesidWarning, EstimationError, InputError
 from bayesid.estimators.conic.bounds import Bounds
@@ -195,6 +196,7 @@ DOUBTFUL = 0.05
 _WEIGHTS = ("auto", "channel", "noise")
 
 
+@explains_types
 @dataclass(frozen=True)
 class Physical:
     """Estimate of physically consistent links.

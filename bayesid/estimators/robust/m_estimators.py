@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from bayesid.argument_types import explains_types
 from bayesid.errors import InputError
 from bayesid.estimators.covariance import encoder_growth
 from bayesid.estimators.estimator import Details, Estimate
@@ -438,6 +439,7 @@ class StudentDetails(RobustDetails):
     nu: float
 
 
+@explains_types
 @dataclass(frozen=True)
 class Huber:
     """Huber's loss on segments of rows.
@@ -470,6 +472,7 @@ class Huber:
         )
 
 
+@explains_types
 @dataclass(frozen=True)
 class Student:
     """Student's t likelihood of segments of rows, with unknown scale.
