@@ -135,7 +135,7 @@ def payload(
         Half 95 % intervals that are wanted of the mass [kg] and the centre of mass along any axis [m]: for a sensor that carries
         the payload alone, the poses that reach them are proposed.
     diagnosis
-        Whether to look for what else is in the readings.
+        Whether to look for what else is in the readings; with a reference, whether what else changed is in the model.
     seed
         Of everything random in the diagnosis.
     settings
@@ -299,14 +299,15 @@ def _since(asked: _Asked, before: Experiment, joint: str | None) -> _Found:
     )
     found = changes.comparison
     at = carrying_joint(experiment.robot, joint)
-    known, evidence = from_reference(found, at)
+    plain, evidence = from_reference(found, at, alone=True)
+    known = from_reference(found, at)[0] if asked.diagnosis else plain
     here = f"joint{at + 1}"
     stands_for = named_payload(found, at)
     named = stands_for is not None
     others = tuple(
         EffectBeside(
             c.change.name, c.change.where, {v.name: (v.value, v.std, v.unit) for v in c.values},
-            tuple(f"{h.name}@{h.where}" for h, _ in c.found.rivals),
+            tuple(f"{h.name}@{h.where}" for h, _ in c.found.rivals), in_model=asked.diagnosis,
         )
         for c in found.changes
         if stands_for is None or c.found is not stands_for[0]
@@ -330,8 +331,13 @@ def _since(asked: _Asked, before: Experiment, joint: str | None) -> _Found:
             )
     came = f"something was taken away from {here}" if known.negative else f"a payload at {here} came"
     said = [f"Since {before.name} {came}: log evidence {number(evidence, 3)}."] if named else []
-    if named and others:
-        said.append(f"Beside it changed: {', '.join(e.spec for e in others)}.")
+    beside = ", ".join(e.spec for e in others)
+    if named and others and asked.diagnosis:
+        said += [f"Beside it changed: {beside}. It is in the model.", *_without(plain.possible)]
+        if plain.possible.mass.shown and not known.mass.shown:
+            warnings.append(f"With {beside} in the model these recordings do not show the mass: move the robot in more ways.")
+    elif named and others:
+        warnings.append(f"Beside it changed {beside}, which is not in the model, as asked; the intervals do not count it.")
     sensor, effects = experiment.sensor, found.reference.effects
     weight = float(np.linalg.norm(experiment.robot.gravity))
     # In the wrist a sensor turns against gravity, and its offset does not.
@@ -341,7 +347,7 @@ def _since(asked: _Asked, before: Experiment, joint: str | None) -> _Found:
         warnings.append("More changed since the reference than is named; the intervals do not count it.")
     body = body_of(found.reference.robot, at)
     return _Found(
-        body, known, known, of_any_motion(found.reference.problem, body), effects=others,
+        body, known, plain, of_any_motion(found.reference.problem, body), effects=others,
         verdict=changes.verdict, evidence=evidence, sentences=tuple(said),
         warnings=tuple(warnings),
     )  # fmt: skip
@@ -383,11 +389,15 @@ def _beside(effects: Sequence[EffectBeside], plain: BodyKnowledge) -> list[str]:
     effects = [e for e in effects if e.in_model]
     if not effects:
         return []
-    out = [f"Beside the payload the readings hold {'; '.join(map(str, effects))}. It is in the model."]
-    if plain.mass.shown:
-        centre = ", ".join(number(1e3 * q.value, 3) for q in plain.centre)
-        out.append(f"Without it: {number(plain.mass.value, 4)} kg, centre of mass ({centre}) mm in the carrying link's frame.")
-    return out
+    return [f"Beside the payload the readings hold {'; '.join(map(str, effects))}. It is in the model.", *_without(plain)]
+
+
+def _without(plain: BodyKnowledge) -> list[str]:
+    """Mass and centre of mass without what else is in the readings."""
+    if not plain.mass.shown:
+        return []
+    centre = ", ".join(number(1e3 * q.value, 3) for q in plain.centre)
+    return [f"Without it: {number(plain.mass.value, 4)} kg, centre of mass ({centre}) mm in the carrying link's frame."]
 
 
 def _not_shown(result: PayloadEstimate) -> list[str]:

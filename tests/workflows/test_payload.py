@@ -409,6 +409,25 @@ def test_a_zero_that_moves_along_gravity_reads_like_a_payload_and_is_said_to(tmp
     assert any("0.10 kg for every newton: do not zero it in between" in s for s in result.sentences)
 
 
+def test_what_else_changed_is_in_the_model_or_not_as_asked(tmp_path):
+    """Cross-talk that came beside the payload: values without it are those of a model that it is not in."""
+    arm = experiment(puma2(tmp_path), [], Sensor(None, np.array([0.0, 0.0, -0.1]), np.zeros(3)))
+    held = inertia.from_mass_com_inertia(1.0, np.array([0.05, -0.02, 0.3]), np.diag([0.02, 0.02, 0.005]))
+    came = {"payload@joint2": dict(zip(inertia.PARAMETERS, held.tolist(), strict=True))}
+    came["sensor_crosstalk@fx->fz"] = {"coefficient": 0.03}
+    path = [bayesid.fourier_trajectory(arm.robot, duration=10.0, seed=1)]
+    loaded, before = (bayesid.simulate(arm, path, effects=e, recorder=NOISE, seed=s) for e, s in ((came, 2), ({}, 3)))
+    whole, bare = (bayesid.payload(loaded, reference=before, diagnosis=d) for d in (True, False))
+    assert whole.mass.low < 1.0 < whole.mass.high and any("Without it: 0.997" in text for text in whole.sentences)
+    for result in (whole, bare):
+        assert result.to_dict()["without_effects"]["m"]["value"] == pytest.approx(bare.mass.value)
+    assert abs(bare.mass.value - whole.mass.value) > whole.mass.std
+    assert [[(e.spec, e.in_model) for e in r.effects] for r in (whole, bare)] == [
+        [("sensor_crosstalk@fx->fz", True)], [("sensor_crosstalk@fx->fz", False)],
+    ]  # fmt: skip
+    assert any("sensor_crosstalk@fx->fz, which is not in the model, as asked" in text for text in bare.warnings)
+
+
 def test_recordings_that_were_exchanged_are_told_as_such(tmp_path):
     """The reference carries the payload: nothing is wrong with signs or axes of the readings."""
     arm = experiment(bayesid.load_robot(write(tmp_path, puma560())), [])

@@ -128,8 +128,10 @@ def named_payload(comparison: ReferenceComparison, joint: int) -> tuple[Accepted
     return max(each, key=lambda x: x[0].change is x[1], default=None)
 
 
-def from_reference(comparison: ReferenceComparison, joint: int) -> tuple[BodyKnowledge, float]:
+def from_reference(comparison: ReferenceComparison, joint: int, alone: bool = False) -> tuple[BodyKnowledge, float]:
     """What changed on a joint's link since a reference, and the log evidence that something did.
+
+    With what else changed in the model, or ``alone``.
 
     A payload that explains the recording as well as a change that is named stands in its place, see `named_payload`. Where the
     comparison names no payload there, one is taken into the model all the same: then the interval says how large a payload may be
@@ -142,7 +144,8 @@ def from_reference(comparison: ReferenceComparison, joint: int) -> tuple[BodyKno
     else:
         instead = next((a for a in s.accepted if _is_payload(a.change, where)), None)
         form, evidence = (instead.change, instead.evidence) if instead else next(x for x in s.beyond if _is_payload(x[0], where))
-    s = replace(s, accepted=(*(a for a in s.accepted if a is not instead), Accepted(form, 1.0, evidence))).for_values
+    beside = () if alone else tuple(a for a in s.accepted if a is not instead)
+    s = replace(s, accepted=(*beside, Accepted(form, 1.0, evidence))).for_values
     whole = s.accepted[-1].change
     own, columns = s.directions[-1], whole.columns
     fitted = amplitudes(s.marginal())
