@@ -202,7 +202,9 @@ class _Finder:
         for stream, column in self.places:
             name = without_unit(column)
             match = NUMBERED.fullmatch(name)
-            stem, number = (match[1], int(match[2])) if match else (name if len(joints) == 1 else "", 0)
+            # A word alone is of a single joint; what stands before it may be another one's name.
+            alone = name if len(joints) == 1 and name.lower() in QUANTITY_OF_WORD else ""
+            stem, number = (match[1], int(match[2])) if match else (alone, 0)
             word = re.split(r"[/.\s]", stem.lower())[-1]
             if QUANTITY_OF_WORD.get(word) == quantity and not (quantity == "q" and _tokens(stem) & _COMMAND):
                 groups[id(stream), stem][number] = (stream, column)

@@ -177,6 +177,13 @@ def test_words_of_a_single_joint_need_no_number(known, tmp_path):
         only(tmp_path / "log.csv", known, joints=JOINTS)
 
 
+def test_a_word_beside_another_joints_name_is_no_single_joints(known, tmp_path):
+    frame = by_joint(known, time=known.t)
+    frame[[c for c in frame if "elbow" not in c]].to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(InputError, match="no positions of elbow|the log's joints are shoulder"):
+        only(tmp_path / "log.csv", known, joints=["elbow"])
+
+
 def test_recordings_that_follow_each_other_in_a_file_are_told(known, tmp_path):
     half = len(known.t) // 2
     times = np.concatenate([known.t[:half], known.t[: len(known.t) - half]])
