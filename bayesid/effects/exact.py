@@ -233,6 +233,8 @@ class Point:
     free: np.ndarray  # which of them are estimated
     absorbed: np.ndarray  # what an effect that absorbs weight holds of it, by axis, (6,) [N, N m]
     middle: np.ndarray | None = None  # joint positions at the middle of the motion (n,)
+    #: Which of those that are not estimated were to be, and are held where a fit that ran away with them stopped; None: none.
+    unsettled: np.ndarray | None = None
 
     def terms(self, effects: Sequence[Effect]) -> tuple[Term, ...]:
         """The effects with their values; of one that absorbs weight, what is its own."""
@@ -269,8 +271,10 @@ def linearised(
     """
     terms = point.terms(effects)
     rigid = rigid_columns(robot, channels, segment, point.links, terms, gravity=gravity)[:, :, independent]
-    estimated = [effect for effect, places in with_places(effects) if point.free[places].any()]
-    parts = [columns(robot, channels, segment, point.links, terms, effect, gravity=gravity) for effect in estimated]
+    estimated = [(effect, point.free[places]) for effect, places in with_places(effects) if point.free[places].any()]
+    parts = [
+        columns(robot, channels, segment, point.links, terms, effect, gravity=gravity)[:, :, free] for effect, free in estimated
+    ]
     others = np.concatenate([np.zeros((*measured.shape, 0)), *parts], axis=2)
     target = measured - readings(robot, channels, segment, point.links, terms, gravity=gravity)
     target = target + rigid @ point.base + others @ point.values[point.free]

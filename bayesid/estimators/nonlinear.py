@@ -1,7 +1,10 @@
 """Effects that readings are not linear in: Gauss-Newton around any estimator.
 
 The readings are linearised at a point, estimated, and linearised again at the estimate, until it no longer moves. A step that
-makes the residual larger, or not a number, is halved [Deuflhard2011]_; where that does not help, the fit stops where it is.
+makes the residual larger, or not a number, is halved [Deuflhard2011]_; where that does not help, the fit stops where it is. The
+estimate may then still point far away, along what the motions do not tell from other parameters, to where its linearisation says
+nothing. So parameters that readings are not linear in are held where the fit stopped, if it points further away than their
+standard deviations, and the others are fitted beside them.
 
 From afar, a mount that rings looks stiff: the cost of a resonance has a valley as narrow as the resonance is sharp, and
 Gauss-Newton finds the bottom of the one that it starts in. So where no starting value of an effect that rings is stated, each
@@ -35,6 +38,8 @@ _STARTING_PASSES = 3
 _ROUNDS = 3
 #: Estimators whose values do not depend on what is known of encoder errors, only their covariance does.
 _COVARIANCE_ALONE = (LeastSquares, Ridge, TruncatedSVD, Huber, Student, Physical)
+#: Standard deviations beyond which a value is out of what is plausible.
+_CERTAIN = 3.0
 #: Steps at most, and how often each is halved until it makes the residual no larger; the next one is tried whole again.
 _STEPS, _HALVED = 15, 5
 
@@ -122,7 +127,35 @@ def _minimised(problem: Problem, method: str | Estimator) -> Fitted:
         if (then := now.next()) is None:
             break
         now = then
-    return now
+    point, away = now.problem.row_model.point, ran_away(now.problem, now.estimate)
+    if point is None or not away.any():
+        return now
+    unsettled = away if point.unsettled is None else point.unsettled | away
+    return _minimised(relinearised(now.problem, replace(point, free=point.free & ~away, unsettled=unsettled)), method)
+
+
+def ran_away(problem: Problem, estimate: Estimate) -> np.ndarray:
+    """Which of all effects' parameters are shapes of effects that an estimate has far from where it is linearised (e,).
+
+    Far is further than a parameter's standard deviation, or for certain out of what is plausible.
+    """
+    row_model, point = problem.row_model, problem.row_model.point
+    if point is None:
+        return np.zeros(len(row_model.free), bool)
+    (low, high), now = _bounds(problem, point), point.values[point.free]
+    values, std = estimate.solution[row_model.base.rank :], estimate.full_std[row_model.base.rank :]
+    known = np.isfinite(std)
+    outside = np.maximum(low - values, values - high) > _CERTAIN * np.where(known, std, 0.0)
+    far = np.zeros(len(point.free), bool)
+    far[point.free] = outside | (known & (np.abs(values - now) > std))
+    for _, own in with_places(row_model.effects):
+        far[own] = far[own].any()
+    return far & point.free & _shapes(problem)
+
+
+def _shapes(problem: Problem) -> np.ndarray:
+    """Which of all effects' parameters readings are not linear in (e,)."""
+    return np.array([key in e.shape for e in problem.row_model.effects for key in e.parameters], bool)
 
 
 @dataclass(frozen=True)
@@ -213,7 +246,7 @@ def _stepped(problem: Problem, here: Point, estimate: Estimate, step: np.ndarray
     row_model = problem.row_model
     low, high = _bounds(problem, here)
     # A shape that cannot be negative shrinks by steps: none jumps to its limit, where nothing moves any more.
-    shape = np.array([key in e.shape for e in row_model.effects for key in e.parameters])[here.free]
+    shape = _shapes(problem)[here.free]
     now = here.values[here.free]
     low = np.where(shape & (low >= 0.0), np.maximum(low, 0.4 * now), low)
     values = here.values.copy()

@@ -11,8 +11,9 @@ from bayesid.arguments import argument, call
 from bayesid.effects import Effect, with_places
 from bayesid.effects.segment import late_start
 from bayesid.estimators import Estimate
+from bayesid.estimators.nonlinear import ran_away
 from bayesid.estimators.prior_check import PriorCheck, conflicts
-from bayesid.recordings.complaints import listed
+from bayesid.recordings.complaints import in_words, listed
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.problem import Problem
 from bayesid.regression.readings import has_readings
@@ -287,8 +288,8 @@ def _signs_right(owners: Sequence[Effect], values: np.ndarray) -> np.ndarray:
 def not_settled(problem: Problem, estimate: Estimate) -> list[str]:
     """Which effects ended at values that are not plausible, or where they are not linearised.
 
-    What readings are not linear in is estimated in steps that stay within what is plausible. An estimate that points far out of
-    it still has run away along what these motions do not tell from other parameters, so those are not to be relied on, either.
+    What readings are not linear in is estimated in steps that stay within what is plausible. Where an estimate points far away
+    still, it has run away along what these motions do not tell from other parameters, so those are not to be relied on, either.
     So has one whose standard deviation is wider than all that is plausible.
     """
     point = problem.row_model.point
@@ -296,21 +297,18 @@ def not_settled(problem: Problem, estimate: Estimate) -> list[str]:
         return []
     values, stds = point.values.copy(), np.full(len(point.values), np.inf)
     values[point.free], stds[point.free] = estimate.solution[estimate.base.rank :], estimate.full_std[estimate.base.rank :]
-    out = []
+    out, away = [], ran_away(problem, estimate)
+    held = np.zeros(len(away), bool) if point.unsettled is None else point.unsettled
     for effect, part in with_places(problem.row_model.effects):
-        if not effect.shape or not point.free[part].any():
-            continue
-        away = np.abs(values[part] - point.values[part])
-        low, high = np.array(effect.lower), np.array(effect.upper)
-        known = np.isfinite(stds[part])
-        outside = np.maximum(low - values[part], values[part] - high) > _CERTAIN * np.where(known, stds[part], 0.0)
-        lost = known & ((away > stds[part]) | (stds[part] > high - low))
-        if not (outside | lost).any():
+        wide = np.isfinite(stds[part]) & (stds[part] > np.subtract(effect.upper, effect.lower))
+        if not effect.shape or not (held[part] | away[part] | wide).any():
             continue
         each = zip(effect.parameters, values[part], effect.units, strict=True)
         shown = [f"{key} = {v:.3g} {powers(unit)}" for key, v, unit in each]
+        kept = [key for key, own in zip(effect.parameters, held[part], strict=True) if own]
+        where = f", with {in_words(kept)} kept where the fit stopped" if kept else ""
         out.append(
-            f"{effect.spec} did not settle: {listed(shown, 3)}. These motions do not tell it from other parameters, which "
+            f"{effect.spec} did not settle: {listed(shown, 3)}{where}. These motions do not tell it from other parameters, which "
             "are then not to be relied on, either. State what is known of it in [model.values], leave it out, or add motions "
             "that show it."
         )

@@ -326,6 +326,20 @@ def test_an_effect_that_ran_away_is_told(arm):
     assert not [w for w in plain.warnings if "settle" in w]
 
 
+@pytest.mark.parametrize("effects", [["tether@joint2"], ["tether@joint4", "stribeck_friction@joint2"], ["torque_ripple@joint2"]])
+def test_what_ran_away_stays_where_the_fit_stopped(arm, effects):
+    """An estimate along a linearisation that says nothing there has a stiffness of -1e8 N/m, and lengths of as many metres."""
+    found = bayesid.identify(arm, channel="torque", effects=effects)
+    assert sum("kept where the fit stopped" in w for w in found.warnings) == len(effects)
+    for effect, told in zip(found.problem.row_model.effects, found.effects(), strict=True):
+        for key, low, high in zip(effect.parameters, effect.lower, effect.upper, strict=True):
+            entry = told["parameters"][key]
+            std = entry["std"]
+            assert low - 4 * (std or 0.0) <= entry["value"] <= high + 4 * (std or 0.0)
+            assert key not in effect.shape or std is None
+    assert found.validation[0].whitened_rms < 1.1
+
+
 def test_an_effect_of_which_the_motions_say_nothing_is_told(shared):
     """With the nominal links of its light wrist, which `sdp` stays near, nothing shows a TX40's coupling."""
     experiment = bayesid.load_experiment(shared("data/tx40"))
