@@ -34,7 +34,8 @@ _WEIGHTS = ("none", "channel", "noise")
 #: What an estimator that weights by the noise says where it weights by channel instead.
 CHANNEL_INSTEAD = (
     "{} is the same as wls here, to the last digit: something is missing in the model, and weights by the colour of the noise "
-    "would give most weight to whatever frequency is quiet, model error or not. So rows are weighted by channel. `bayesid.diagnose` looks for what is missing."
+    "would give most weight to whatever frequency is quiet, model error or not. So rows are weighted by channel. "
+    "`bayesid.diagnose` looks for what is missing."
 )
 
 
