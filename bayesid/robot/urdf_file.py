@@ -192,9 +192,9 @@ def _checked(data: bytes, path: Path, notes: tuple[str, ...] = (), inside: dict 
     root_link = _check_tree(links, known, wrong)
     bodies = {name: stated_body(element, partial(wrong, key=f"link {_cut(name)}")) for name, element in links.items()}
     for name, element in links.items():
-        stated = element.find("inertial/mass")
-        if stated is not None and float(stated.get("value", "0")) > 0.0 and not bodies[name].any():
-            element.remove(element.find("inertial"))
+        inertial, stated = element.find("inertial"), element.find("inertial/mass")
+        if inertial is not None and stated is not None and float(stated.get("value", "0")) > 0.0 and not bodies[name].any():
+            element.remove(inertial)
             data = ET.tostring(root)
     fixed: dict[str, list[str]] = {}
     for joint in known.values():
