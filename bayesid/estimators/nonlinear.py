@@ -127,30 +127,39 @@ def _minimised(problem: Problem, method: str | Estimator) -> Fitted:
         if (then := now.next()) is None:
             break
         now = then
-    point, away = now.problem.row_model.point, ran_away(now.problem, now.estimate)
-    if point is None or not away.any():
+    point, far = now.problem.row_model.point, _far(now.problem, now.estimate)
+    if point is None or not np.any(far > 1.0):
         return now
-    unsettled = away if point.unsettled is None else point.unsettled | away
-    return _minimised(relinearised(now.problem, replace(point, free=point.free & ~away, unsettled=unsettled)), method)
+    # One effect at a time: without the one that ran furthest the others may settle.
+    furthest = (far == far.max()) & point.free & _shapes(now.problem)
+    unsettled = furthest if point.unsettled is None else point.unsettled | furthest
+    return _minimised(relinearised(now.problem, replace(point, free=point.free & ~furthest, unsettled=unsettled)), method)
 
 
 def ran_away(problem: Problem, estimate: Estimate) -> np.ndarray:
-    """Which of all effects' parameters are shapes of effects that an estimate has far from where it is linearised (e,).
+    """Which of all effects' parameters are shapes of effects that an estimate has far from where it is linearised (e,)."""
+    point = problem.row_model.point
+    return np.zeros(len(problem.row_model.free), bool) if point is None else (_far(problem, estimate) > 1.0) & _shapes(problem)
 
-    Far is further than a parameter's standard deviation, or for certain out of what is plausible.
+
+def _far(problem: Problem, estimate: Estimate) -> np.ndarray:
+    """How far an estimate has effects with shapes from where they are linearised, the furthest of each one's parameters (e,).
+
+    In standard deviations; infinitely far where it is out of what is plausible for certain, and zero where no shape is estimated.
     """
     row_model, point = problem.row_model, problem.row_model.point
+    out = np.zeros(len(row_model.free))
     if point is None:
-        return np.zeros(len(row_model.free), bool)
+        return out
     (low, high), now = _bounds(problem, point), point.values[point.free]
     values, std = estimate.solution[row_model.base.rank :], estimate.full_std[row_model.base.rank :]
-    known = np.isfinite(std)
+    known = np.isfinite(std) & (std > 0.0)
     outside = np.maximum(low - values, values - high) > _CERTAIN * np.where(known, std, 0.0)
-    far = np.zeros(len(point.free), bool)
-    far[point.free] = outside | (known & (np.abs(values - now) > std))
+    out[point.free] = np.where(outside, np.inf, np.abs(values - now) / np.where(known, std, np.inf))
+    shapes = _shapes(problem) & point.free
     for _, own in with_places(row_model.effects):
-        far[own] = far[own].any()
-    return far & point.free & _shapes(problem)
+        out[own] = out[own].max() if shapes[own].any() else 0.0
+    return out
 
 
 def _shapes(problem: Problem) -> np.ndarray:
