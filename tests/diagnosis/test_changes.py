@@ -25,7 +25,7 @@ from bayesid.effects.friction import CoulombFriction
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
-from bayesid.regression.problem import prepare
+from bayesid.regression.problem import prepare, relinearised
 from bayesid.report.changes import changes_report, hidden_table
 from bayesid.results.changes import Changes, hidden_sentences, next_experiment
 from bayesid.robot import inertia
@@ -403,12 +403,15 @@ def test_a_reference_that_has_not_settled_stays_where_its_equations_hold(tmp_pat
     table = recording(robot, None, fourier(robot, 1, duration=4.0), torque_std=0.1)
     setup = experiment(robot, [Motion("run", "identification", table)])
     reference = learn_reference(setup, effects=["backlash@joint1"])
-    names = [name for e in reference.effects for name in e.column_names]
+    point = reference.problem.row_model.point
+    assert point is not None  # all are estimated again, with whatever values
+    problem = relinearised(reference.problem, replace(point, free=np.ones(len(point.free), bool)))
+    names = list(problem.row_model.effect_names)
     wild = {"backlash@joint1.gap": -2.0, "backlash@joint1.firm": 0.0, "viscous_friction@joint2.coefficient": -1.0}
-    solution = reference.solution.copy()
+    solution = np.concatenate([reference.solution[: problem.row_model.base.rank], point.values])
     for name, value in wild.items():
         solution[len(solution) - len(names) + names.index(name)] = value
-    point = replace(reference, estimate=replace(reference.estimate, solution=solution)).point
+    point = replace(reference, problem=problem, estimate=replace(reference.estimate, solution=solution)).point
     assert [point.values[names.index(name)] for name in wild] == [0.0, 1e-3, -1.0]  # a linear equation holds everywhere
 
 
