@@ -18,7 +18,7 @@ from bayesid.regression.problem import prepare
 from bayesid.regression.readings import default_channel, make_channels
 from bayesid.results.inspection import InspectedReadings, Inspection, MotionSummary
 from bayesid.signals.smoothing import smooth
-from bayesid.validation.mistakes.search import find_mistakes
+from bayesid.validation.mistakes.search import find_mistakes, unlike_urdf
 from bayesid.validation.own_fit import fit_and_predict
 from bayesid.validation.prediction import useless
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
@@ -76,6 +76,8 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
         no_use = useless(unseen) and lacks_drives(problem)
         warnings += unusable(problem, unseen, [], takes_effects=False) if no_use else unpredicted(unseen)
         warnings += without_static_run(problem)
+    if not mistakes and (unlike := unlike_urdf(experiment)) is not None:
+        warnings.append(unlike)
     progress("base parameters")
     return Inspection(
         experiment=experiment,

@@ -25,7 +25,7 @@ from bayesid.validation.mistakes.candidates import candidates, of_wrench
 from bayesid.validation.mistakes.evidence import Change, Explainer, _non_negative, body_generators, independent_samples
 from bayesid.validation.mistakes.from_data import orders
 from bayesid.validation.mistakes.samples import low_passed
-from bayesid.validation.mistakes.search import MistakeSearch, find_mistakes, worded
+from bayesid.validation.mistakes.search import MistakeSearch, find_mistakes, unlike_urdf, worded
 from tests.example_robots import Joint, Link, urdf_text
 from tests.robots import ROBOTS, lwr4, ur5, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -69,6 +69,32 @@ def on_sensor(folder: Path, seed: int = 0) -> Experiment:
 def test_recordings_without_a_mistake_raise_no_alarm(seed: int, tmp_path: Path) -> None:
     for whole in (arm(tmp_path, True, seed), arm(tmp_path, False, seed), on_sensor(tmp_path, seed)):
         assert find_mistakes(whole) == ()
+
+
+@pytest.mark.parametrize(
+    ("factors", "cause"), [([0.4] * 6, "currents"), ([0.3, 0.5, 0.4, 0.35, 0.45, 0.4], "currents"), ([2.0] * 6, "a load")]
+)
+def test_torques_of_another_size_in_every_joint_are_told_and_no_mistake(factors: list[float], cause: str, tmp_path: Path) -> None:
+    """Motor-side torques of small gears, or currents, at 0.3 to 0.5 of what the URDF needs passed `check` in silence."""
+    whole = changed(arm(tmp_path), times(np.diag(factors), "torques"))
+    assert find_mistakes(whole) == ()
+    told = unlike_urdf(whole)
+    assert told is not None and cause in told
+    sizes = {int(j): float(size) for size, j in re.findall(r"([\d.]+) \(tau(\d)\)", told)}
+    assert len(sizes) > 1  # the others carry too little
+    assert all(size == pytest.approx(factors[j - 1], rel=0.25) for j, size in sizes.items())  # links are a tenth off
+
+
+def test_check_tells_torques_of_another_size(tmp_path: Path) -> None:
+    whole = changed(arm(tmp_path), times(0.4 * np.eye(6), "torques"))
+    assert unlike_urdf(whole) in bayesid.check(whole).warnings
+
+
+def test_torques_of_the_usual_size_or_of_another_in_some_joints_are_not_told(tmp_path: Path) -> None:
+    whole = arm(tmp_path)
+    assert unlike_urdf(whole) is None and unlike_urdf(arm(tmp_path, masses=False)) is None
+    assert unlike_urdf(changed(whole, times(np.diag([0.4, 1.0, 0.4, 0.4, 0.4, 0.4]), "torques"))) is None
+    assert unlike_urdf(on_sensor(tmp_path)) is None
 
 
 def names(whole: Experiment) -> set[tuple[str, str]]:

@@ -297,6 +297,30 @@ def implausible_size(explainer: Explainer, change: Change = AS_RECORDED) -> list
     return [Mistake("torque_units", "", text, "torque", evidence=float("inf"))]
 
 
+def unlike_nominal(explainer: Explainer) -> str | None:
+    """Say that torques are of another size than the URDF's masses need in every joint, to the same side; mostly None.
+
+    Whether that is a mistake, nothing here decides: a fit finds the masses that the torques need, and the URDF may be wrong.
+    """
+    if not (explainer.torque and explainer.has_masses):
+        return None
+    found, shown = _sizes(explainer, explainer.bodies)
+    sizes = found[shown]
+    less = bool(((sizes > 0.0) & (sizes < 1.0 / _ALIKE)).all())
+    if len(sizes) < min(2, len(found)) or not (less or (sizes > _ALIKE).all()):
+        return None
+    # As in `implausible_size`: what the URDF's own masses explain as well, with friction, says nothing.
+    if explainer.gained_by_size(explainer.bodies, 1.0) < WORSE:
+        return None
+    names = [explainer.channels.names[k] for k in np.flatnonzero(shown)]
+    each = in_words([f"{size:.2g} ({name})" for size, name in zip(sizes, names, strict=True)])
+    causes = "torques of the motors, currents" if less else "a load that the URDF does not have"
+    return (
+        f"The joint torques (tau) are {each} times what the URDF's masses need, in every joint that shows it: {causes}, another "
+        f"unit, or a URDF whose links are {'heavier' if less else 'lighter'} than the robot's? Masses are identified as tau says"
+    )
+
+
 def weight_carried(explainer: Explainer) -> list[Mistake]:
     """Joints that carry a constant weight, as of a lift, which is not in their readings: no fit with an offset misses it."""
     if not explainer.torque or not explainer.has_masses:

@@ -23,7 +23,15 @@ from bayesid.validation.mistakes.evidence import (
     RobotFit,
     independent_samples,
 )
-from bayesid.validation.mistakes.from_data import by_joint, implausible_size, orders, other_zeros, tilted, weight_carried
+from bayesid.validation.mistakes.from_data import (
+    by_joint,
+    implausible_size,
+    orders,
+    other_zeros,
+    tilted,
+    unlike_nominal,
+    weight_carried,
+)
 from bayesid.validation.mistakes.samples import low_passed
 from bayesid.validation.mistakes.shifts import delayed, zeros_moved
 
@@ -212,6 +220,20 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
                 continue
     found.sort(key=lambda m: -m.evidence)
     return tuple({(m.name, m.where): m for m in reversed(found)}.values())[::-1]
+
+
+def unlike_urdf(experiment: Experiment) -> str | None:
+    """Say that joint torques are of another size than the URDF's masses need, where `find_mistakes` finds none; mostly None."""
+    if any("torque" in finding.silences for finding in experiment.findings):
+        return None
+    try:
+        with one_blas_thread():
+            samples = low_passed(experiment, "torque")
+            if samples is None:
+                return None
+            return unlike_nominal(Explainer(experiment.robot, make_channels(experiment, "torque"), samples))
+    except (InputError, np.linalg.LinAlgError, ValueError, RuntimeError):
+        return None  # as there
 
 
 def _in_channel(experiment: Experiment, channel: str) -> list[Mistake]:
