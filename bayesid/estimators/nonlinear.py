@@ -219,10 +219,15 @@ def settled(problem: Problem) -> Problem:
 
 
 def _bounds(problem: Problem, here: Point) -> tuple[np.ndarray, np.ndarray]:
-    """Plausible ranges of the effects' parameters that are estimated."""
-    effects = problem.row_model.effects
-    low, high = ([v for e in effects for v in getattr(e, side)] for side in ("lower", "upper"))
-    return np.array(low)[here.free], np.array(high)[here.free]
+    """Plausible ranges of the effects' parameters that are estimated.
+
+    What readings are linear in has none on a side where it is out already, as a negative friction near zero speed is that a
+    diagnosis found. A step back to the bound would make all else worse, so that nothing moved.
+    """
+    effects, now = problem.row_model.effects, here.values[here.free]
+    low, high = (np.array([v for e in effects for v in getattr(e, side)])[here.free] for side in ("lower", "upper"))
+    linear = ~_shapes(problem)[here.free]
+    return np.where(linear & (now < low), -np.inf, low), np.where(linear & (now > high), np.inf, high)
 
 
 def _within_bounds(problem: Problem, here: Point, estimate: Estimate) -> Estimate:

@@ -340,6 +340,23 @@ def test_what_ran_away_stays_where_the_fit_stopped(arm, effects):
     assert found.validation[0].whitened_rms < 1.1
 
 
+def test_a_level_that_starts_out_of_what_is_plausible_may_stay_there(tmp_path):
+    """Friction that rises with speed, as a diagnosis states it: no step led to a positive level, so that nothing moved."""
+    robot, motions = puma2(tmp_path), []
+    for seed, role in ((1, "identification"), (2, "validation")):
+        moved = fourier(robot, seed)
+        table = recording(robot, None, moved, seed=seed, torque_std=0.1)
+        friction = (8.0 - 6.0 * np.exp(-((moved[2] / 0.4) ** 2))) * np.sign(moved[2])
+        motions.append(Motion(role, role, replace(table, torques=table.torques + friction)))
+    stated = {f"stribeck_friction@joint{k}": {"level": -5.0, "velocity": 0.6} for k in (1, 2)}
+    rising = replace(experiment(robot, motions), effects=("coulomb_friction", "stribeck_friction"), effect_values=stated)
+    found = bayesid.identify(rising, "torque")
+    assert not [w for w in found.warnings if "did not settle" in w] and found.validation[0].relative_error < 0.01
+    for told in found.effects()[2:]:
+        for key, truth in (("level", -6.0), ("velocity", 0.4)):
+            assert told["parameters"][key]["value"] == pytest.approx(truth, rel=0.01)
+
+
 def test_an_effect_of_which_the_motions_say_nothing_is_told(shared):
     """With the nominal links of its light wrist, which `sdp` stays near, nothing shows a TX40's coupling."""
     experiment = bayesid.load_experiment(shared("data/tx40"))
