@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesid.arguments import call
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import Finding, columns_of, listed
 from bayesid.recordings.table import GAP, LONGEST_STEP, Table, holes_left
@@ -221,7 +222,8 @@ def _steps(table: Table) -> list[str]:
     if not said:
         return uneven
     apart = "the pieces between gaps are treated apart, too short ones left out, " * bool(len(gaps))
-    return [*uneven, f"{start}{'; '.join(said)} (a step is usually {table.step:.4g} s); {apart}check the logger"]
+    remedy = f"check the logger, or which rows `{call('import')}` said that it left out"
+    return [*uneven, f"{start}{'; '.join(said)} (a step is usually {table.step:.4g} s); {apart}{remedy}"]
 
 
 def _travel(table: Table, velocities: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
