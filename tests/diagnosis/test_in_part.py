@@ -24,7 +24,7 @@ from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import held_out_text, remarks
 from bayesid.diagnosis.search import Search, search
 from bayesid.diagnosis.settings import DEFAULT
-from bayesid.diagnosis.verdict import named_in_part
+from bayesid.diagnosis.verdict import Verdict, named_in_part
 from bayesid.effects import EffectLibrary, MotionSegment, Term
 from bayesid.effects.drives import Spring
 from bayesid.effects.friction import CoulombFriction, StribeckFriction
@@ -242,6 +242,18 @@ def test_what_another_joint_does_says_nothing_against_an_effect(beside_much):
     assert group.channels == ("tau2",)
     assert group.closed > 0.9
     assert "tau2: " in str(beside_much) and "most of it is closed in the channels" in str(beside_much)
+
+
+def test_where_something_stays_friction_that_the_model_states_may_be_of_another_kind(beside_much):
+    """Stated friction is never exchanged; left out, the search chooses the kind."""
+    s = beside_much.search
+    stated = replace(s, base=s.best, found=())
+
+    def told(search: Search, verdict: Verdict) -> bool:
+        return any("another kind than the model's viscous_friction." in r for r in remarks(search, None, verdict, "residual", ()))
+
+    assert told(stated, "unknown") and told(stated, "named_in_part")
+    assert not told(stated, "nothing_missing") and not told(s, "unknown")
 
 
 def test_names_that_make_validation_worse_are_told_not_given(beside_much, searches, monkeypatch):

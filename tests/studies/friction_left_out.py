@@ -43,6 +43,8 @@ BY_HAND = {
     "viscous, Dahl, offset": ("viscous_friction", "dahl_friction", "torque_offset"),
     "viscous, Stribeck, offset": ("viscous_friction", "stribeck_friction", "torque_offset"),
 }
+#: The one of these that is stated, too, for `bayesid diagnose` to find what is missing beside it.
+STATED = "and an offset"
 #: How much positions and readings are changed, relative to their largest.
 NINTH_DIGIT = 1e-9
 
@@ -56,6 +58,12 @@ models put in at all joints by hand. Error on a motion that was not fitted, by `
 {{ errors }}
 
 The diagnosed model predicts better than, or within 5 % of, the best of the four by hand in {{ good }} of {{ count }} recordings.
+
+## And with friction stated?
+
+A model that states viscous friction, Coulomb friction and an offset at all joints, and what `bayesid diagnose` finds beside them.
+
+{{ beside }}
 {% for digit, names in again %}
 
 {% if digit %}
@@ -137,15 +145,28 @@ def shuffled(experiment: Experiment, seed: int) -> Experiment:
     return replace(experiment, library=library, motions=tuple(_shuffled(list(experiment.motions), seed)))
 
 
+def diagnosed(experiment: Experiment, other: Experiment | None) -> tuple[bayesid.Diagnosis, dict[str, Any]]:
+    """A diagnosis, with its verdict, its processor time, and the error with what it names in the model."""
+    since = time.process_time()
+    found = bayesid.diagnose(experiment, channel="torque", progress=None)
+    seconds = time.process_time() - since
+    effects, values = found.model
+    after = error(replace(experiment, effects=effects, effect_values=values), other)
+    return found, {"verdict": found.verdict, "seconds": seconds, "diagnosed": after}
+
+
+def beside_stated(experiment: Experiment, other: Experiment | None) -> dict[str, Any]:
+    """What is named beside friction that the model states."""
+    found, told = diagnosed(replace(experiment, effects=BY_HAND[STATED]), other)
+    return told | {"named": [f.term.effect.spec for f in found.found]}
+
+
 def judge(experiment: Experiment, other: Experiment | None, digits: int, orders: int) -> dict[str, Any]:
     """Errors of the bare model, of those by hand and of the diagnosed one; what is named, also of disturbed data."""
     out: dict[str, Any] = {"bare": error(experiment, other)}
     out["by_hand"] = {name: error(replace(experiment, effects=effects), other) for name, effects in BY_HAND.items()}
-    since = time.process_time()
-    found = bayesid.diagnose(experiment, channel="torque", progress=None)
-    out["seconds"] = time.process_time() - since
-    effects, values = found.model
-    out["verdict"], out["diagnosed"] = found.verdict, error(replace(experiment, effects=effects, effect_values=values), other)
+    found, told = diagnosed(experiment, other)
+    out.update(told, stated=beside_stated(experiment, other))
     shares = () if found.part is None else found.part.shares
     named = [f.term.effect.spec for f in found.found]
     out["named"] = {spec: shares[k].share if k < len(shares) else None for k, spec in enumerate(named)}
@@ -163,18 +184,22 @@ def write(found: dict[str, dict[str, Any]], folder: Path) -> None:
     """The page and its numbers."""
     folder.mkdir(parents=True, exist_ok=True)
     found = write_numbers(found, folder / "results.json", 4)
-    good, errors = 0, []
+    good, errors, beside = 0, [], []
     for name, f in found.items():
         best = min(f["by_hand"].values())
         good += f["diagnosed"] <= 1.05 * best
         cells = [f["bare"], *f["by_hand"].values(), f["diagnosed"]]
         numbers = " | ".join(f"{100 * c:.1f} %" for c in cells)
         errors.append(f"| {name} | {numbers} | {f['verdict'].replace('_', ' ')} | {len(f['named'])} | {f['seconds']:.0f} s |")
+        own = f["stated"]
+        numbers = " | ".join(f"{100 * c:.1f} %" for c in (f["by_hand"][STATED], own["diagnosed"], f["diagnosed"]))
+        beside.append(f"| {name} | {own['verdict'].replace('_', ' ')} | {_listed(own['named'])} | {numbers} |")
     head = f"recording | no friction | {' | '.join(BY_HAND)} | diagnosed | verdict | effects | processor time"
     again = [(digit, _names(found, kind)) for digit, kind in ((NINTH_DIGIT, "again"), (None, "shuffled"))]
     write_page(
         PAGE, folder / "README.md", errors=table(head, errors), good=good, count=len(found),
         again=[(digit, names) for digit, names in again if names],
+        beside=table("recording | verdict | named | stated | and with what is named | left out, and diagnosed", beside),
     )  # fmt: skip
 
 
