@@ -1,17 +1,14 @@
 """Do the bands of ``bounds`` hold the torques of recordings that nobody has shown to it, of other motions and other days?
 
 ``python -m tests.studies.band_coverage --write`` from the repository measures every case on the recordings below ``BAYESID_DATA``
-and writes ``docs/studies/band-coverage``. ``--column before`` stores the figures beside the others, as those of an
-earlier revision that stands first on ``PYTHONPATH``.
+and writes ``docs/studies/band-coverage``.
 
-Recordings are read with numpy, low-passed and differentiated with SciPy; nothing of the fit but its bands and the bandwidth of
-the motion is used.
+Recordings are read with numpy, low-passed and differentiated with SciPy; nothing of the fit but its bands is used.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from dataclasses import dataclass, replace
@@ -26,9 +23,8 @@ from tests.studies.page import STUDIES, table, write_numbers, write_page
 
 DATA = Path(os.environ.get("BAYESID_DATA", Path(__file__).resolve().parents[3] / "shared")) / "data"
 DRIVES = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
-#: Of the torques [Hz], as bands are compared with them everywhere; seconds at both ends that filters spoil.
+#: Of torques and positions [Hz], as bands are compared with torques everywhere; seconds at both ends that filters spoil.
 BAND, ENDS = 10.0, 0.5
-COLUMNS = ("before", "after")
 
 
 @dataclass(frozen=True)
@@ -79,16 +75,15 @@ def experiment_of(case: Case) -> bayesid.Experiment:
     )  # fmt: skip
 
 
-def states(path: str, bandwidth: float) -> tuple[np.ndarray, ...]:
-    """Times, positions, velocities, accelerations and torques below 10 Hz of a recording (N,), (N, n) each."""
+def states(path: str) -> tuple[np.ndarray, ...]:
+    """Times (N,), positions, velocities, accelerations and torques of a recording below 10 Hz, (N, n) each."""
     with (DATA / path).open(encoding="utf-8") as file:
         head = file.readline().strip().split(",")
     values = np.loadtxt(DATA / path, delimiter=",", skiprows=1)
     t = values[:, head.index("t")]
     q, tau = (values[:, [k for k, name in enumerate(head) if name.strip("0123456789") == kind]] for kind in ("q", "tau"))
     step = float(np.median(np.diff(t)))
-    q = sosfiltfilt(butter(2, bandwidth, fs=1.0 / step, output="sos"), q, axis=0)
-    tau = sosfiltfilt(butter(2, BAND, fs=1.0 / step, output="sos"), tau, axis=0)
+    q, tau = (sosfiltfilt(butter(2, BAND, fs=1.0 / step, output="sos"), x, axis=0) for x in (q, tau))
     v = np.gradient(q, step, axis=0)
     inner = slice(round(ENDS / step), -round(ENDS / step))
     return tuple(x[inner] for x in (t, q, v, np.gradient(v, step, axis=0), tau))
@@ -100,7 +95,7 @@ def measured(case: Case) -> dict[str, Any]:
     bounds = bayesid.bounds(fit, configurations=8)
     inside, width, error = [], [], []
     for path in case.judges:
-        t, q, v, a, torque = states(path, fit.problem.smoother.bandwidth)
+        t, q, v, a, torque = states(path)
         band = bounds.torque(q, v, a, t)
         inside.append(np.mean((torque >= band.pointwise_low) & (torque <= band.pointwise_high), axis=0))
         need = np.quantile(np.abs(torque - band.values), 0.95, axis=0)
@@ -122,18 +117,16 @@ def title(case: Case) -> dict[str, str]:
 PAGE = """\
 # Bands on other days
 
-Bands of [`bounds`](../../howto/controller.md), held against recordings that were neither fitted nor held out: torques below
-10 Hz, read
-and differentiated with NumPy and SciPy alone. Each row fits some recordings, shows others to `bounds` as validation motions, and
-judges on the rest. 95 % of the samples should be inside the pointwise bands. The width is half a band over what the residuals
-need, the 95 % quantile of their size: bands that follow speed and posture can be below 1 and still hold 95 %.
-`python -m tests.studies.band_coverage --write` made this page and [results.json](results.json); *before* is revision
-88cd97e.
+Bands of [`bounds`](../../howto/controller.md), held against recordings that were neither fitted nor held out: positions and
+torques below 10 Hz, read and differentiated with NumPy and SciPy alone. Each row fits some recordings, shows others to
+`bounds` as validation motions, and judges on the rest. 95 % of the samples should be inside the pointwise bands. The width is
+half a band over what the residuals need, the 95 % quantile of their size: bands that follow speed and posture can be below 1
+and still hold 95 %. `python -m tests.studies.band_coverage --write` made this page and [results.json](results.json).
 
 {{ rows }}
 
 Shares and widths are means over recordings and joints; in brackets the least and the largest of a joint in a recording. The error
-is that of the centre of the band over the torques, all joints together; before, the centre was not the estimate.
+is that of the centre of the band, the estimate's, over the torques, all joints together.
 
 A band is worth what the recordings show of the model's error. With a motion held out it is measured there; without one it is that
 of the fitted motion, enlarged by what the fit took of it, and the headline of `bounds` says that nothing shows another motion or
@@ -148,38 +141,28 @@ On simulated robots whose model is complete nothing is added: [bounds held again
 def write(result: dict[str, Any], folder: Path = STUDIES / "band-coverage") -> None:
     """Page and JSON."""
     rounded = write_numbers(result, folder / "results.json", digits=4)
-    head = "robot | fitted | held out | judged on | inside, % before | after | width before | after | error, % before | after"
+    head = "robot | fitted | held out | judged on | inside, % | width | error, %"
     rows = []
-    for k, case in enumerate(CASES):
-        told, cells = title(case), []
-        for key, scale, digits in (("inside", 100, 1), ("width", 1, 2), ("error", 100, 2)):
-            for column in COLUMNS:
-                found = scale * np.array(rounded[column][k][key])
-                text = f"{found.mean():.{digits}f}"
-                cells.append(text if key == "error" else f"{text} ({found.min():.{digits}f} … {found.max():.{digits}f})")
-        rows.append("| " + " | ".join([*told.values(), *cells]) + " |")
+    for case, found in zip(CASES, rounded["cases"], strict=True):
+        shares, widths = 100.0 * np.array(found["inside"]), np.array(found["width"])
+        cells = [f"{x.mean():.{d}f} ({x.min():.{d}f} … {x.max():.{d}f})" for x, d in ((shares, 1), (widths, 2))]
+        cells.append(f"{100 * np.mean(found['error']):.2f}")
+        rows.append("| " + " | ".join([*title(case).values(), *cells]) + " |")
     write_page(PAGE, folder / "README.md", rows=table(head, rows))
 
 
 def main(arguments: list[str]) -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--column", choices=COLUMNS, default="after")
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args(arguments)
-    stored = STUDIES / "band-coverage" / "results.json"
-    result = json.loads(stored.read_text(encoding="utf-8")) if stored.is_file() else {}
-    result[given.column] = []
+    cases = []
     for case in CASES:
-        found = measured(case)
-        result[given.column].append(found)
-        shown = (np.round(100 * found[k].mean(), 1) for k in ("inside", "width", "error"))
+        cases.append(measured(case))
+        shown = (np.round(100 * cases[-1][k].mean(), 1) for k in ("inside", "width", "error"))
         print(*title(case).values(), *shown, sep=" | ", flush=True)
     if given.write:
-        if set(COLUMNS) <= set(result):
-            write(result)
-        else:
-            write_numbers(result, stored, digits=4)
+        write({"cases": cases})
 
 
 if __name__ == "__main__":

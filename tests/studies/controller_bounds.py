@@ -366,7 +366,7 @@ def summarise(name: str, found: dict[str, np.ndarray]) -> dict[str, Any]:
 PAGE = """\
 # Bounds for controllers, held against the truth
 
-Robots with links of their own, drawn from the prior that is stated (relative standard deviation {{ trust }} of every mass); one
+Robots with links of their own, drawn from the prior that is stated (relative standard deviation {{ rel_std }} of every mass); one
 recording of each, {{ duration }} s at {{ rate }} Hz with white noise of {{ force }} N and {{ noises }} N m, and {{ encoder }} rad
 of encoder noise; an estimate or a posterior; its [bounds](../../howto/controller.md); and Spong's controller with these
 bounds on the

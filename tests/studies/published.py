@@ -24,7 +24,7 @@ BEFORE = "679f174"
 #: Which figures of a file are published, as paths of keys with wildcards; of a file that is not here, all single numbers.
 SHOWN = {
     "docs/studies/accuracy/results.json": ("arms/*/formula/*", "arms/*/coverage", "arms/*/lowest", "arms/*/highest"),
-    "docs/studies/band-coverage/results.json": ("after/*/inside/*", "after/*/width/*"),
+    "docs/studies/band-coverage/results.json": ("cases/*/inside/*", "cases/*/width/*"),
     "docs/studies/benchmarks/results.json": (
         "comparison/*/*/us_per_sample",
         "comparison/*/*_over_bayesid",

@@ -5,9 +5,26 @@ from fnmatch import fnmatchcase
 
 import pytest
 
+from tests.studies import (
+    band_coverage,
+    calibrate,
+    controller_bounds,
+    encoder_noise,
+    expected,
+    friction_left_out,
+    outliers,
+    payload,
+    payload_real,
+    sbc,
+)
 from tests.studies.page import STUDIES
 from tests.studies.published import SHOWN, compared, leaves, published, stored
 
+MADE = {
+    "band-coverage": band_coverage, "calibrate-coverage": calibrate, "controller-bounds": controller_bounds,
+    "encoder-noise": encoder_noise, "expected": expected, "friction-left-out": friction_left_out, "outliers": outliers,
+    "payload-coverage": payload, "payload-real": payload_real, "sbc": sbc,
+}  # fmt: skip
 BLIND = "case_studies/blind_naming/results.json"
 
 
@@ -45,3 +62,12 @@ def _fits(name, pattern):
 def test_the_page_has_every_stored_study():
     text = (STUDIES / "figures" / "README.md").read_text(encoding="utf-8")
     assert [path for path in stored() if f"| [{path}]" not in text] == [], "run python -m tests.studies.published --write"
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_a_page_is_what_its_study_makes_of_its_numbers(name, tmp_path):
+    """A page that only a run of hours would write may no longer be made at all."""
+    numbers = json.loads((STUDIES / name / "results.json").read_text(encoding="utf-8"))
+    MADE[name].write(numbers, tmp_path)
+    assert (tmp_path / "README.md").read_text(encoding="utf-8") == (STUDIES / name / "README.md").read_text(encoding="utf-8")
+    assert json.loads((tmp_path / "results.json").read_text(encoding="utf-8")) == numbers
