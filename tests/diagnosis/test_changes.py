@@ -106,13 +106,13 @@ def arm(tmp_path_factory):
     return load_robot(write(tmp_path_factory.mktemp("arm"), puma560()))
 
 
-def _recorded(robot, seed, *, body=None, link=5, coulomb=COULOMB, viscous=VISCOUS, masses=True):
+def _recorded(robot, seed, *, body=None, link=5, coulomb=COULOMB, viscous=VISCOUS, masses=True, torque_std=0.3):
     """A recording of the arm with friction, and with a body on a link."""
     motion = fourier(robot, seed, duration=15.0, rate=100.0)
     phi = robot.nominal.copy()
     if body is not None:
         phi[link] += body
-    table = recording(robot, None, motion, seed=seed, torque_std=0.3, resolution=1e-5, phi=phi.ravel())
+    table = recording(robot, None, motion, seed=seed, torque_std=torque_std, resolution=1e-5, phi=phi.ravel())
     torques = table.torques + viscous * motion[2] + coulomb * np.tanh(motion[2] / 1e-3)
     table = Table(times=table.times, positions=table.positions, torques=torques)
     known = robot if masses else replace(robot, nominal=np.zeros_like(robot.nominal))
@@ -290,6 +290,36 @@ def test_nothing_is_named_where_friction_wanders_by_a_twentieth(arm):
     assert 0.01 < hidden["payload@joint6"] < 1.5
     assert 0.8 < hidden["coulomb_friction@joint2"] < 8.0
     assert "could hide" in str(found)
+
+
+def test_friction_that_wanders_within_a_recording_is_no_change(arm):
+    """All of it grows by 8 % in the first recording and falls by as much in the second."""
+    warm = np.linspace(-0.04, 0.04, 1500)[:, None]
+    before, after = (
+        _recorded(arm, seed, coulomb=COULOMB * (1.0 + way * warm), viscous=VISCOUS * (1.0 + way * warm), torque_std=0.1)
+        for seed, way in ((1, 1.0), (2, -1.0))
+    )
+    assert bayesid.diagnose(after, reference=before).verdict == "nothing_missing"
+
+
+def test_what_a_joint_shows_only_where_it_stands_is_no_change(arm):
+    """A joint that hardly moves, at another angle in each recording, in a field of rest positions of its gear: a ripple."""
+
+    def recorded(seed, angle):
+        times, *motion = fourier(arm, seed, duration=15.0, rate=100.0)
+        creeps = np.sin(np.outer(times, [1.3, 2.1])) @ [1e-3, 5e-4]
+        for values in motion:
+            values[:, 5] = creeps
+            creeps = np.gradient(creeps, times)
+        motion[0][:, 5] += angle
+        table = recording(arm, None, (times, *motion), seed=seed, torque_std=0.1, resolution=1e-5)
+        torques = table.torques + VISCOUS * motion[1] + COULOMB * np.tanh(motion[1] / 3e-3)
+        torques[:, 5] += 0.05 * np.sin(16.0 * motion[0][:, 5])
+        table = Table(times=table.times, positions=table.positions, torques=torques)
+        return experiment(arm, [Motion("run", "identification", table)])
+
+    found = bayesid.diagnose(recorded(2, 0.1), reference=recorded(1, -0.1))
+    assert found.verdict == "nothing_missing"
 
 
 def test_rows_with_proposals_are_the_models_with_columns_beside(tmp_path):

@@ -150,6 +150,11 @@ def gain(marginals: Iterable[Marginal], change: Hypothesis) -> float:
     return _best_gain([m.curves(change) for m in marginals])
 
 
+def without_change(marginals: Iterable[Marginal], effect: Hypothesis) -> float:
+    """Log density of the data without a change, what the reference says of an effect that its model lacks counted."""
+    return max(float(m.information(effect)[0].max()) for m in marginals)
+
+
 def expected_gain(marginals: Iterable[Marginal], change: Hypothesis, amplitudes: np.ndarray) -> Callable[[float], float]:
     """Log evidence that a change would have on average over noise, were its amplitudes (k,) these times a factor.
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from bayesid.diagnosis.changes.proposals import ChangeProposal, sizes_of
 from bayesid.diagnosis.changes.reference import Reference
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, LASTING, PAYLOAD_MASS, PAYLOAD_REACHES, SIZES, body_sizes
 from bayesid.effects import Effect, JointGainEffect
 from bayesid.effects.bodies import Payload, body_of
+from bayesid.effects.friction import WarmingFriction
 
 #: Where a change is that all joints share.
 EVERYWHERE = "every joint"
@@ -63,6 +66,19 @@ class Hypothesis:
         return tuple(each[: len(self.columns)])
 
 
+def beside(change: Hypothesis, effect: Hypothesis) -> Hypothesis:
+    """A change where both recordings have another effect as well that the reference's model lacks."""
+    one, other = change.shared, effect.shared
+    assert other is not None
+    if one is None:
+        one = SharedAmplitudes(np.zeros(0, int), np.zeros(0), np.zeros((0, 0)), np.zeros(len(change.columns)))
+    both = SharedAmplitudes(
+        np.concatenate([one.columns, other.columns]), np.concatenate([one.mean, other.mean]),
+        np.asarray(block_diag(one.root, np.hstack([other.root, np.diag(other.wander)]))), one.wander,
+    )  # fmt: skip
+    return replace(change, shared=both)
+
+
 def hypotheses(reference: Reference) -> tuple[Hypothesis, ...]:
     """Everything that may have changed."""
     return (*_bodies(reference), *_known(reference), *_new(reference))
@@ -71,6 +87,33 @@ def hypotheses(reference: Reference) -> tuple[Hypothesis, ...]:
 def gain_columns(reference: Reference) -> np.ndarray:
     """Columns of drive gains that the model does not have: they are never known to better than a few per cent."""
     return np.array([k for p, k in _placed(reference) if isinstance(p.effect, JointGainEffect)], int).ravel()
+
+
+#: Friction of the model that falls with each parameter of a drive that warms.
+_WARMED = {"level": "coulomb_friction", "coefficient": "viscous_friction"}
+
+
+def warming_columns(reference: Reference, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of friction that falls or rises within a recording (k,), and their standard deviations with nothing changed (k,).
+
+    Friction differs within a recording by the share by which it differs between two, in root mean square over the later
+    recording's rows (N, q). All time constants are equally likely.
+    """
+    model = reference.problem.row_model
+    of_friction = model.of_free((e.spec, name) for e in model.effects for name in e.parameters)
+    friction = {key: model.base.rank + k for k, key in enumerate(of_friction)}
+    warming = [(p, own) for p, own in _placed(reference) if isinstance(p.effect, WarmingFriction)]
+    times = Counter(p.effect.spec for p, _ in warming)
+    columns, sizes = [], []
+    for proposal, own in warming:
+        effect = proposal.effect
+        for column, name in zip(own, np.array(effect.parameters)[proposal.active], strict=True):
+            known, falls = friction.get((f"{_WARMED.get(name)}@{effect.where}", name)), np.linalg.norm(rows[:, column])
+            if known is not None and falls > 0.0:
+                torque = np.linalg.norm(rows[:, known]) * abs(reference.solution[known])
+                columns.append(column)
+                sizes.append(FRICTION_SHARE * torque / falls / np.sqrt(times[effect.spec]))
+    return np.array(columns, int), np.array(sizes)
 
 
 def _bodies(reference: Reference) -> Iterator[Hypothesis]:

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from bayesid.diagnosis.changes.evidence import Marginal, Reduced, best_size, gain
-from bayesid.diagnosis.changes.hypotheses import Hypothesis, gain_columns, hypotheses
+from bayesid.diagnosis.changes.evidence import Marginal, Reduced, best_size, gain, without_change
+from bayesid.diagnosis.changes.hypotheses import Hypothesis, beside, gain_columns, hypotheses, warming_columns
 from bayesid.diagnosis.changes.recording import LaterRecording
 from bayesid.diagnosis.changes.reference import Reference
 from bayesid.diagnosis.changes.scales import GAIN_SHARE, WANDER_FACTORS
@@ -100,14 +100,57 @@ def select(reference: Reference, recording: LaterRecording, settings: Settings) 
     """Add changes between reference and later recording as long as the data demand them."""
     tolerance = {f: _tolerance(reference, recording, f) for f in WANDER_FACTORS}
     s = Selection(Reduced.of(recording.rows, recording.left, recording.correlation), hypotheses(reference), tolerance)
-    scores = further = s.ranked(())
+    further = scores = _demanded(s, settings)
     s = replace(s, scores=scores, factor=_factor(s, ()))
     while further and further[0][1] >= settings.accept:
         change, evidence = further[0]
         accepted = (*s.accepted, Accepted(change, best_size(s.marginal(), change), evidence))
         s = replace(s, accepted=accepted, factor=_factor(s, accepted))
-        further = s.ranked(accepted)
+        further = _demanded(s, settings)
     return replace(s, accepted=tuple(_judged(s, a, settings) for a in s.accepted), beyond=further)
+
+
+def _demanded(s: Selection, settings: Settings) -> Scores:
+    """What every other change adds, best first; the first has enough only if it has it whatever effect the reference lacks."""
+    scores, lacking = list(s.ranked(s.accepted)), _Lacking.beside(s, s.accepted)
+    for k, (change, evidence) in enumerate(scores):
+        left = lacking.left(change, evidence, settings.accept)
+        if evidence < settings.accept or left >= settings.accept:
+            break
+        scores[k] = change, left
+    return tuple(sorted(scores, key=lambda x: -x[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Lacking:
+    """Effects that the reference's model lacks, and what each of them leaves of a change.
+
+    The reference may not show how large they are: a joint that stands elsewhere later, say, reads otherwise with nothing changed.
+    """
+
+    marginals: tuple[Marginal, ...]
+    effects: tuple[Hypothesis, ...]
+
+    @classmethod
+    def beside(cls, s: Selection, accepted: Sequence[Accepted]) -> _Lacking:
+        """Those beside some changes."""
+        marginals = tuple(s.marginal(accepted, f) for f in WANDER_FACTORS)
+        return cls(marginals, tuple(h for h in s.every if h.shared is not None))
+
+    @cached_property
+    def worth(self) -> list[float]:
+        """Log evidence that each is in both recordings, with nothing changed."""
+        null = max(m.null for m in self.marginals)
+        return [without_change(self.marginals, h) - null for h in self.effects]
+
+    def left(self, change: Hypothesis, evidence: float, enough: float) -> float:
+        """What is left of a change's log evidence beside that effect of which least is; exact where it is below ``enough``."""
+        if evidence < enough:
+            return evidence
+        # What brings no more than the change has to spare leaves it enough.
+        each = [h for h, worth in zip(self.effects, self.worth, strict=True) if h is not change and worth > evidence - enough]
+        own = gain(self.marginals, change) if each else 0.0
+        return min([evidence, *(evidence - own + gain(self.marginals, beside(change, h)) for h in each)])
 
 
 def _factor(s: Selection, accepted: Sequence[Accepted]) -> float:
@@ -121,7 +164,9 @@ def _judged(s: Selection, one: Accepted, settings: Settings) -> Accepted:
     scores = s.ranked(others)
     taken = {a.change.spec for a in s.accepted}
     own = next(e for h, e in scores if h.spec == one.change.spec)
-    behind = [(h, own - e) for h, e in scores if h.spec not in taken]
+    lacking = _Lacking.beside(s, others)
+    behind = [(h, own - lacking.left(h, e, own - settings.rival)) for h, e in scores if h.spec not in taken]
+    behind.sort(key=lambda x: x[1])
     return replace(
         one, evidence=own, rivals=tuple(x for x in behind if x[1] < settings.rival), lead=behind[0] if behind else None
     )
@@ -133,7 +178,11 @@ def _tolerance(reference: Reference, recording: LaterRecording, factor: float) -
     friction, gains = factor * reference.wanders(friction=True), reference.wanders(friction=False)
     covariance = factor**2 * reference.covariance + np.diag(friction**2 + gains**2)
     columns = gain_columns(reference)
-    return np.hstack([_at(q, np.arange(p), root_of(covariance)), _at(q, columns, GAIN_SHARE * np.eye(len(columns)))])
+    warming, sizes = warming_columns(reference, recording.rows)
+    return np.hstack([
+        _at(q, np.arange(p), root_of(covariance)), _at(q, columns, GAIN_SHARE * np.eye(len(columns))),
+        _at(q, warming, factor * np.diag(sizes)),
+    ])  # fmt: skip
 
 
 def _at(count: int, columns: np.ndarray, values: np.ndarray) -> np.ndarray:
