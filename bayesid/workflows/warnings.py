@@ -179,7 +179,7 @@ def unusable(
             if takes_effects
             else f"[model] effects = {json.dumps(drive)}"
         )
-        remedy = f"The model has no effect of a drive: {given} adds them"
+        remedy = f"The model has no effect of a drive: {given} adds them; `{call('diagnose')}` finds which kinds each joint has"
     else:
         remedy = f"`{call('check')}` looks for wrong signs, units and joint order, `{call('diagnose')}` for what is missing"
     said = f"motions that were not fitted are predicted with an error of {size} % of the signal"
