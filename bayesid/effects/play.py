@@ -1,20 +1,18 @@
 """Where the link is behind gear teeth with play [Nordin2002]_: q_motor = q_link + lean(torque(q_link)).
 
 The torque depends on the link's acceleration, and where it is small the link crosses the play within milliseconds, at times that
-smoothed positions do not show. So the link's motion is a spline in time, fitted to what the encoders read, sample by sample:
+smoothed positions do not show. So the link's motion is a spline in time, fitted to what the encoders read, sample by sample. The
+torque u that teeth feel is the spline's own but for an error, by which the spline's acceleration may be wrong:
 
-    sum_k (q_motor(t_k) - q_link(t_k) - lean(torque(t_k)))^2 -> min
+    sum_k ((q_motor(t_k) - q_link(t_k) - lean(u_k)) / e)^2 + ((u_k - torque(t_k)) / (I(t_k) e a))^2 -> min
 
-by Gauss-Newton steps, in which a change d of the link's motion changes the torque by the joint's own inertia times d''. The sum
-has a minimum wherever a crossing is assumed at a wrong time, and one in which the link chatters between the teeth instead of
-resting on them. Splines that can do little more than the slow motion find the crossings roughly, finer ones from there to the
-sample. While no encoder moves, links stand still: they lean with the weight that they hold.
-
-In intervals in which the finest splines miss the readings by far more than their errors, a crossing went wrong on the way. There,
-at most two crossings at any times, from any side to any other, are tried, the rest of the motion as it was: with splines B that
-the link moves by, a change s of how far it is behind leaves ``|(1 - P)(r - s)|^2`` of the readings r, P projecting on B. The best
-is taken if it leaves less, and not much more than elsewhere: where there is next to no torque, the side follows from the encoder,
-not from the splines' own torque.
+with the error e of a sample, I the joint's own inertia, and a the acceleration that an error of a unit makes. At each sample the
+best u is sought on both sides of the play: of a crossing that is assumed at a wrong time, the sum then grows with the torque that
+would have to be there, which says where the crossing belongs, while behind firm teeth the play itself says nothing. The splines
+move by Gauss-Newton steps, in which a change d of the link's motion changes the torque by the inertia times d''. Splines that can
+do little more than the slow motion find the crossings roughly, for what they leave makes e large, finer ones from there to the
+sample. As a crossing may still be missed on the way, this is done with two sizes of the error, and what leaves less is taken.
+While no encoder moves, links stand still: they lean with the weight that they hold.
 """
 
 from __future__ import annotations
@@ -22,121 +20,39 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 
+import numba
 import numpy as np
 
 from bayesid.effects.families import PlayEffect
 from bayesid.effects.flexible import Motion
 from bayesid.effects.segment import REST_SPEED
-from bayesid.signals.arrays import runs
+from bayesid.signals.arrays import kernel_input
 from bayesid.signals.smoothing import Splines
-
-#: Where the root mean square over so many seconds is so many times its median, a crossing may be at a wrong time.
-_SMOOTHED, _STANDS_OUT = 0.25, 2.0
-#: Two crossings cannot be all of a longer interval [s].
-_LONGEST = 3.0
-#: Crossings that are right leave no more than so many times the usual; one sample on the wrong side of a wide play makes ten.
-_EXPLAINED = 15.0
-#: Seconds around an interval that are looked at with it, for splines reach beyond it.
-_AROUND = 1.0
-#: Times tried in an interval, before every sample about the best of them is.
-_TRIED = 250
-
-
-def local_energy(left: np.ndarray, step: float) -> np.ndarray:
-    """Mean square about each sample (M,) of what is left of readings (M,) that are so far apart [s]."""
-    from scipy.ndimage import uniform_filter1d
-
-    return uniform_filter1d(left**2, max(int(round(_SMOOTHED / step)), 1))
-
-
-def intervals_that_stand_out(energy: np.ndarray) -> list[tuple[int, int]]:
-    """First sample of each, and the one after the last, by the mean square about each sample (M,)."""
-    return runs(energy > _STANDS_OUT**2 * np.median(energy))
-
-
-def crossed_anew(
-    encoders: np.ndarray,
-    behind: np.ndarray,
-    sides: np.ndarray,
-    splines: Splines,
-    still: np.ndarray,
-    step: float,
-    intervals: list[tuple[int, int]],
-) -> np.ndarray:
-    """Side of the link in each interval (M,), -1 elsewhere, with the crossings that leave least of the readings.
-
-    ``encoders`` are readings (M,) [rad or m], ``behind`` how far the link is behind by the fit (M,), ``sides`` how far it may
-    be (k,), ``splines`` what it moves by, at the samples; ``still`` says where it is known, as nothing moves (M,), ``step`` is
-    in s, and ``intervals`` are the first sample of each and the one after its last.
-    """
-    if not intervals:
-        return np.full(len(behind), -1)
-    usual = np.median(local_energy(splines.remainder(encoders - behind), step))
-    out, found, around = behind.copy(), np.full(len(behind), -1), int(round(_AROUND / step))
-    for a, b in intervals:
-        if (b - a) * step > _LONGEST:
-            continue
-        near = slice(max(a - around, 0), min(b + around, len(encoders)))
-        samples, some = np.arange(near.start, near.stop), splines.part(near)
-        inside = (samples >= a) & (samples < b) & ~still[near]
-        now = some.remainder(encoders[near] - out[near])
-        outside = some.remainder(encoders[near] - np.where(inside, 0.0, out[near]))
-        every = int(np.ceil((b - a) / _TRIED))
-        times = np.append(np.arange(a, b, every), b)
-        while True:
-            until = some.remainder((inside[:, None] & (samples[:, None] < times)).astype(float))
-            energy, (one, two, three), i, j = _least(until, outside, sides)
-            if every == 1:
-                break
-            # Then every sample about those.
-            close = [np.arange(max(times[k] - every, a), min(times[k] + every, b) + 1) for k in (i, j)]
-            times, every = np.unique(np.concatenate([*close, [a, b]])), 1
-        crossed = np.where(samples < times[i], one, np.where(samples < times[j], two, three))
-        left = some.remainder(encoders[near] - np.where(inside, sides[crossed], out[near]))
-        if energy < now @ now and local_energy(left, step)[inside].max(initial=0.0) < _EXPLAINED**2 * usual:
-            found[near] = np.where(inside, crossed, found[near])
-            out[near] = np.where(inside, sides[crossed], out[near])
-    return found
-
-
-def _least(until: np.ndarray, outside: np.ndarray, sides: np.ndarray) -> tuple[float, tuple[int, ...], int, int]:
-    """The least sum of squares, which its three sides are, and which of the times the two crossings between them are.
-
-    ``until`` (M, k) is what the splines leave of a unit step from the interval's start to each time, the last one its end, and
-    ``outside`` (M,) what they leave of the readings if the link is not behind in the interval.
-    """
-    gram, along, alone = until.T @ until, until.T @ outside, outside @ outside
-    own, whole = np.diag(gram), gram[:, -1]
-    in_order = np.triu(np.ones(gram.shape, bool))
-    found: tuple[float, tuple[int, ...], int, int] = (np.inf, (0, 0, 0), 0, 0)
-    for which in product(range(len(sides)), repeat=3):
-        if which[0] == which[1] or which[1] == which[2]:  # as one crossing less, at the interval's start or end
-            continue
-        one, two, three = sides[list(which)]
-        x, y = one - two, two - three  # ``x until_i + y until_j + three until_end``
-        first = x * (x * own + 2.0 * three * whole - 2.0 * along)
-        second = y * (y * own + 2.0 * three * whole - 2.0 * along)
-        energy = first[:, None] + second[None, :] + 2.0 * x * y * gram
-        i, j = np.unravel_index(int(np.argmin(np.where(in_order, energy, np.inf))), energy.shape)
-        total = float(energy[i, j] + three * (three * own[-1] - 2.0 * along[-1]) + alone)
-        if total < found[0]:
-            found = total, which, int(i), int(j)
-    return found
-
 
 #: Highest bandwidth of the splines [Hz]: links of arms hardly move faster, and splines that can, imitate the steps.
 FASTEST = 8.0
 #: The slowest splines' bandwidth as a share of the fastest ones', and how many levels there are.
-_SLOWEST, _LEVELS = 1.0 / 8.0, 5
+_SLOWEST, _LEVELS = 1.0 / 8.0, 10
+#: Errors of the torque that a fit descends with, over those by which a level's splines miss the encoders at its bandwidth.
+_SHARES = (1.0, 2.0)
+#: Those that it ends with, over what noise makes of them: with smaller ones it is caught between crossings on the way.
+_LAST = 2.0
 #: Play that is less than this share of the encoders' errors cannot be located in them: the slow motion's torque says where it is.
 _LOCATED = 0.3
 #: Turns with another torque, Gauss-Newton steps at most in each, and the relative change of the sum that ends both: on a level,
 #: which is to find crossings only roughly, and on the last one.
-_ROUGHLY, _WELL = (1, 5, 1e-2), (6, 20, 1e-6)
+_ROUGHLY, _WELL = (1, 12, 1e-3), (6, 20, 1e-6)
 #: A step that makes the sum larger is damped, so often at most, more each time.
 _DAMPED, _DAMPING, _MORE_DAMPING = 6, 1e-3, 4.0
+#: Torques that are tried at each sample, over the one at which teeth are firm: close to zero, and far from it on either side.
+_CLOSE, _FAR = np.linspace(-1.5, 1.5, 25), np.geomspace(1.6, 40.0, 12)
+#: Newton steps from the best of them.
+_NEWTON = 2
+#: Median of the size of normal numbers, over their standard deviation.
+_MEDIAN = 0.6745
+#: Errors that are none: of a torque, over the one at which teeth are firm, and of an encoder, over the play.
+_EXACT, _NONE = 1e-3, 1e-6
 #: A torque that presses any teeth together [N m or N].
 LARGE = 1e9
 #: Time in which no encoder moves, for a rest [s].
@@ -153,6 +69,7 @@ Torque = Callable[[Motion, np.ndarray], np.ndarray]
 class Fitting:
     """What encoders' samples are fitted with, and when."""
 
+    cutoffs: np.ndarray  # bandwidth of each level [Hz]
     splines: Sequence[Splines]  # of each level, at the samples (M,)
     whole: Splines  # those that positions are smoothed to
     wanted: Splines  # the same where the link's motion is wanted (N,)
@@ -163,9 +80,10 @@ class Fitting:
     def of(cls, times: np.ndarray, encoders: np.ndarray, bandwidth: float, wanted: np.ndarray) -> Fitting:
         """Splines for readings (M, n) at times (M,) [s] that are smoothed to a bandwidth [Hz], and times (N,) within them."""
         top = min(FASTEST, bandwidth)
-        splines = [Splines.over(times, cutoff) for cutoff in top * np.geomspace(_SLOWEST, 1.0, _LEVELS)]
+        cutoffs = top * np.geomspace(_SLOWEST, 1.0, _LEVELS)
+        splines = [Splines.over(times, cutoff) for cutoff in cutoffs]
         whole, there = Splines.over(times, bandwidth), Splines.over(times, bandwidth, wanted)
-        return cls(splines, whole, there, _rests(times, encoders), float(np.median(np.diff(times))))
+        return cls(cutoffs, splines, whole, there, _rests(times, encoders), float(np.median(np.diff(times))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +91,16 @@ class Behind:
     """How far a link is behind its motor at the encoders' samples."""
 
     values: np.ndarray  # (M,) [rad or m]
-    side: np.ndarray  # which side of the play it is on where crossings were sought anew (M,), -1 elsewhere
+    solution: Solution | None = None  # what that follows from; None where encoders cannot show it
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A link's motion between its encoder and its torque."""
+
+    coefficients: np.ndarray  # of the splines (k,)
+    torque: np.ndarray  # that teeth feel (M,) [N m or N]
+    left: float  # sum of squares over the errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +129,7 @@ class Recorded:
         rounds = _ROUNDS if len(located) > 1 else 1
         for joint in [*(located * rounds), *(j for j in which if j not in located)]:
             found = fit(joint) if out else fits[joint]  # anew where other links have moved
-            out[joint] = found.best(start.get(joint)) if joint in located else Behind(found.slow, np.full(len(found.slow), -1))
+            out[joint] = found.best(start.get(joint)) if joint in located else Behind(found.lean(found.slow.torque))
             self._follow(link, self.smooth, self.fitting.whole, joint, out[joint].values)
         return out
 
@@ -240,14 +167,25 @@ def leaning_poses(motor: Motion, play: Sequence[tuple[PlayEffect, Sequence[float
 
 def _rests(times: np.ndarray, encoders: np.ndarray) -> np.ndarray:
     """Samples (M,) of intervals in which no encoder moves faster than a crawl."""
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+    from scipy.ndimage import maximum_filter1d
 
-    size = 2 * int(0.5 * _REST / np.median(np.diff(times))) + 1
+    size = _samples(float(np.median(np.diff(times))))
     if size < 3 or size > len(times):
         return np.zeros(len(times), bool)
-    spread = maximum_filter1d(encoders, size, axis=0) - minimum_filter1d(encoders, size, axis=0)
-    middles = (spread <= 1.0001 * REST_SPEED * _REST).all(axis=1)
+    middles = (_spread(encoders, size) <= 1.0001 * REST_SPEED * _REST).all(axis=1)
     return maximum_filter1d(middles, size)
+
+
+def _samples(step: float) -> int:
+    """How many samples that are so far apart [s] a rest takes."""
+    return 2 * int(0.5 * _REST / step) + 1
+
+
+def _spread(encoders: np.ndarray, size: int) -> np.ndarray:
+    """How far encoders (M, ...) move among so many samples about each."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    return maximum_filter1d(encoders, size, axis=0) - minimum_filter1d(encoders, size, axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,92 +213,178 @@ class _JointFit:
         felt = np.where(still, 0.0, recorded.inertia(joint))
         return cls(play, recorded.fitting, recorded.encoders[:, joint], taken, felt)
 
-    @cached_property
-    def sides(self) -> np.ndarray:
-        """How far the link is behind under a large torque one way, none, and a large one the other way (3,)."""
-        return self.lean(np.array([-LARGE, 0.0, LARGE]))
+    def lean(self, torque: np.ndarray) -> np.ndarray:
+        return sum((effect.lean(torque, values) for effect, values in self.play), np.zeros(len(torque)))
 
-    def lean(self, torque: np.ndarray, side: np.ndarray | None = None) -> np.ndarray:
-        free = sum((effect.lean(torque, values) for effect, values in self.play), np.zeros(len(torque)))
-        return free if side is None else np.where(side >= 0, self.sides[side], free)
-
-    def slope(self, torque: np.ndarray, side: np.ndarray | None = None) -> np.ndarray:
-        free = sum((effect.slope(torque, values) for effect, values in self.play), np.zeros(len(torque)))
-        return free if side is None else np.where(side >= 0, 0.0, free)
+    def slope(self, torque: np.ndarray) -> np.ndarray:
+        return sum((effect.slope(torque, values) for effect, values in self.play), np.zeros(len(torque)))
 
     @cached_property
-    def slow(self) -> np.ndarray:
-        """How far the link is behind (M,) by the torque of its slow motion."""
-        return self._level(self.fitting.splines[0], np.zeros(len(self.encoders)), *_ROUGHLY)
+    def firm(self) -> float:
+        """Torque [N m or N] that would bring teeth through the play if they stayed as soft as without load; 0 without play."""
+        (most,), (slope,) = self.lean(np.array([LARGE])), self.slope(np.zeros(1))
+        return float(most / slope) if slope > 0.0 else 0.0
+
+    @cached_property
+    def tried(self) -> tuple[np.ndarray, np.ndarray]:
+        """Torques that are tried at each sample (k,), and how far the link is behind at each (k,)."""
+        torques = self.firm * np.concatenate([-_FAR[::-1], _CLOSE, _FAR])
+        return kernel_input(torques), kernel_input(self.lean(torques))
+
+    @cached_property
+    def noise(self) -> float:
+        """Error of a sample of the encoder [rad or m], whatever the play: crossings are few.
+
+        An encoder that stands still shows none.
+        """
+        left = np.abs(self.fitting.splines[-1].remainder(self.encoders))
+        moves = _spread(self.encoders, _samples(self.fitting.step)) > 0.0
+        return float(np.median(left[moves])) / _MEDIAN if moves.any() else 0.0
+
+    @cached_property
+    def slow(self) -> Solution:
+        """The slowest motion."""
+        return self._rough(0, self.encoders, np.inf, 1.0)[0]
 
     def is_located(self, start: Behind | None) -> bool:
         """Whether encoders can show where the play is crossed; a start says how far the link is behind without a fit."""
         finest = self.fitting.splines[-1]
         noise = np.std(self.encoders - finest.motion(finest.nearest(self.encoders))[0])
-        return bool(np.abs(self.slow if start is None else start.values).max() > _LOCATED * noise)
+        behind = self.lean(self.slow.torque) if start is None else start.values
+        return bool(np.abs(behind).max() > _LOCATED * noise)
 
     def best(self, start: Behind | None) -> Behind:
-        """How far the link is behind, from the splines of one level after the other, or of the last one from a start.
+        """How far the link is behind, from the splines of one level after the other, or of the last one from a start."""
+        if start is not None and start.solution is not None:
+            found = self._finest(start.solution, follows=True)
+        else:
+            found = min((self._finest(self._descended(share)) for share in _SHARES), key=lambda end: end.left)
+        return Behind(self.lean(found.torque), found)
 
-        Where crossings were sought anew, they stay as they are, in the start's as well.
+    def _descended(self, share: float) -> Solution:
+        """The link's motion from level to level, with so many times the torque's error."""
+        now, error = self.slow, np.inf
+        for level in range(1, len(self.fitting.splines)):
+            now, error = self._rough(level, self.encoders - self.lean(now.torque), error, share)
+        return now
+
+    def _rough(self, level: int, link: np.ndarray, most: float, share: float) -> tuple[Solution, float]:
+        """The link's motion on a level from where it is about (M,), and what the splines leave of that, ``most`` at most."""
+        splines, rate = self.fitting.splines[level], (2.0 * np.pi * self.fitting.cutoffs[level]) ** 2
+        start = splines.nearest(link)
+        error = min(float(np.std(link - splines.motion(start)[0])), most)
+        return self._fitted(splines, start, None, error, share * rate * error, *_ROUGHLY), error
+
+    def _finest(self, start: Solution, follows: bool = False) -> Solution:
+        """The link's motion on the last level, where torques are wrong by little more than noise makes of them.
+
+        Where it ``follows`` the start, no teeth are tried but those that it rests on.
         """
-        finest = self.fitting.splines[-1]
-        if start is not None:
-            return Behind(self._level(finest, start.values, *_WELL, start.side), start.side)
-        behind = self.slow
-        for splines in self.fitting.splines[1:]:
-            behind = self._level(splines, behind, *(_WELL if splines is finest else _ROUGHLY))
-        where = intervals_that_stand_out(local_energy(finest.remainder(self.encoders - behind), self.fitting.step))
-        side = crossed_anew(self.encoders, behind, self.sides, finest, self.fitting.still, self.fitting.step, where)
-        tried = [np.where(side >= 0, self.sides[side], behind)]
-        if np.any(side >= 0):  # around them the fit is another one then, but not always a better one
-            tried.append(self._level(finest, tried[0], *_WELL, side))
-        return Behind(min(tried, key=lambda b: float(np.sum(finest.remainder(self.encoders - b) ** 2))), side)
+        splines, cutoff = self.fitting.splines[-1], self.fitting.cutoffs[-1]
+        # Acceleration that white noise leaves up to the bandwidth: the integral of (2 pi f)^4 over the share of the frequencies.
+        rate = (2.0 * np.pi * cutoff) ** 2 * np.sqrt(2.0 * cutoff * self.fitting.step / 5.0)
+        felt = start.torque if follows else None
+        return self._fitted(splines, start.coefficients, felt, self.noise, _LAST * rate * self.noise, *_WELL)
 
-    def _level(
-        self, splines: Splines, behind: np.ndarray, turns: int, steps: int, settled: float, side: np.ndarray | None = None
-    ) -> np.ndarray:
-        """How far the link is behind (M,) on one level, from a guess, on known sides where these are not negative (M,).
+    def _fitted(
+        self, splines: Splines, at: np.ndarray, felt: np.ndarray | None, error: float, rate: float, turns: int, steps: int,
+        settled: float,
+    ) -> Solution:  # fmt: skip
+        """The link's motion on one level from coefficients (k,), with errors of samples and of accelerations.
 
         The link's place hardly matters to inertia and weight: while the fit descends, the torque changes by the inertia times
-        the acceleration, and it is computed anew in each turn.
+        the acceleration, and it is computed anew in each turn. The torque that teeth feel (M,) stays close to ``felt``, if given.
         """
-        at, before = splines.nearest(self.encoders - behind), 0.0
-        own = splines.motion(at)
-        torque = self.torque(own)
+        if not self.firm:
+            return Solution(at, self.torque(splines.motion(at)), np.inf)
+        error = max(error, _NONE * float(self.lean(np.array([LARGE]))[0]))
+        doubt, found = np.maximum(self.inertia * rate, _EXACT * self.firm), Solution(at, np.zeros(0), np.inf)
         for _ in range(turns):
-            left = self.encoders - own[0] - self.lean(torque, side)
-            if abs(left @ left - before) <= settled * before:
+            own = splines.motion(found.coefficients)
+            held, before = self.torque(own) - self.inertia * own[2], found.left
+            found = self._stepped(splines, found.coefficients, felt, held, error, doubt, steps, settled)
+            felt = None if felt is None else found.torque
+            if abs(found.left - before) <= settled * found.left:
                 break
-            at, before = self._descended(splines, at, torque - self.inertia * own[2], steps, settled, side)
-            own = splines.motion(at)
-            torque = self.torque(own)
-        return self.lean(torque, side)
+        return found
 
-    def _descended(
-        self, splines: Splines, at: np.ndarray, held: np.ndarray, steps: int, settled: float, side: np.ndarray | None
-    ) -> tuple[np.ndarray, float]:
-        """Coefficients (k,) after Gauss-Newton steps, and the sum that is left, with a torque ``held + inertia acceleration``."""
+    def _stepped(
+        self, splines: Splines, at: np.ndarray, felt: np.ndarray | None, held: np.ndarray, error: float, doubt: np.ndarray,
+        steps: int, settled: float,
+    ) -> Solution:  # fmt: skip
+        """The link's motion after Gauss-Newton steps, with a torque ``held + inertia acceleration`` (M,) and its error (M,).
 
-        def left(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        With the torque that teeth feel as it is best at each sample, the second derivatives with respect to how far the link is
+        behind and to the spline's torque are a 2 by 2 matrix L L', and the rows are those of L'.
+        """
+        twice, follows = splines.repeated(2), felt is not None
+        sharp, firm = 1.0 / error**2, 1.0 / doubt**2
+        along = self.inertia[:, None] * splines.values[2]
+
+        def tried(coefficients: np.ndarray, felt: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, float]:
             position, _, acceleration = splines.motion(coefficients)
-            torque = held + self.inertia * acceleration
-            return self.encoders - position - self.lean(torque, side), torque
+            gone, torque = self.encoders - position, held + self.inertia * acceleration
+            found, costs = self._felt(gone, torque, felt, sharp, firm)
+            return gone, found, float(np.sum(costs))
 
-        (remainder, torque), damping = left(at), 0.0
+        (gone, found, left), damping = tried(at, felt), 0.0
         for _ in range(steps):
-            rows = splines.values[0] + (self.slope(torque, side) * self.inertia)[:, None] * splines.values[2]
-            before = remainder @ remainder
+            off = gone - self.lean(found)
+            slope, bent = self._curved(found, off, sharp)
+            whole = sharp * slope**2 + firm + bent
+            one = np.sqrt(sharp * (firm + bent) / whole)
+            other, two = -sharp * slope * firm / (whole * one), np.sqrt(firm * bent / (firm + bent))
+            rows = np.concatenate([-one[:, None] * splines.values[0] + other[:, None] * along, two[:, None] * along])
+            pull = sharp * off
+            right = np.concatenate([-pull / one, slope * pull * np.sqrt(bent / (firm * (firm + bent)))])
             for _ in range(_DAMPED):
-                new = at + splines.solved(rows, remainder, damping)
-                tried = left(new)
-                if tried[0] @ tried[0] < before:
+                new = at + twice.solved(rows, right, damping)
+                after = tried(new, found if follows else None)
+                if after[2] < left:
                     break
                 damping = max(_MORE_DAMPING * damping, _DAMPING)
             else:
                 break
-            at, (remainder, torque) = new, tried
+            at, before, (gone, found, left) = new, left, after
             damping = damping / _MORE_DAMPING if damping > 1e-3 * _DAMPING else 0.0
-            if remainder @ remainder > (1.0 - settled) * before:
+            if left > (1.0 - settled) * before:
                 break
-        return at, float(remainder @ remainder)
+        return Solution(at, found, left)
+
+    def _felt(
+        self, gone: np.ndarray, torque: np.ndarray, felt: np.ndarray | None, sharp: float, firm: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Torque that teeth feel at each sample (M,), close to ``felt`` if given, and what is left there (M,)."""
+        if felt is None:
+            one, other = kernel_input(torque), kernel_input(self.lean(torque))
+            felt = _best_tried(kernel_input(gone), one, other, sharp, kernel_input(firm), *self.tried)
+        off = gone - self.lean(felt)
+        left = sharp * off**2 + firm * (felt - torque) ** 2
+        for _ in range(_NEWTON):
+            slope, bent = self._curved(felt, off, sharp)
+            new = felt + (sharp * slope * off - firm * (felt - torque)) / (sharp * slope**2 + firm + bent)
+            beyond = gone - self.lean(new)
+            now = sharp * beyond**2 + firm * (new - torque) ** 2
+            better = now < left
+            felt, off, left = np.where(better, new, felt), np.where(better, beyond, off), np.where(better, now, left)
+        return felt, left
+
+    def _curved(self, torque: np.ndarray, off: np.ndarray, sharp: float) -> tuple[np.ndarray, np.ndarray]:
+        """Slope of the lean (M,), and what its bend adds to the second derivative of the sum, where that is positive (M,)."""
+        step = 1e-3 * self.firm
+        above, below = self.slope(torque + step), self.slope(torque - step)
+        return 0.5 * (above + below), np.maximum(-sharp * off * (above - below) / (2.0 * step), 0.0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _best_tried(gone, torque, leaning, sharp, firm, tried, lean):
+    """Of torques that are tried (k,) and the spline's own, by how far each makes a link lean, the best at each sample (M,)."""
+    out = torque.copy()
+    for sample in range(len(gone)):
+        least = sharp * (gone[sample] - leaning[sample]) ** 2
+        for k in range(len(tried)):
+            off, wrong = gone[sample] - lean[k], tried[k] - torque[sample]
+            left = sharp * off * off + firm[sample] * wrong * wrong
+            if left < least:
+                least, out[sample] = left, tried[k]
+    return out

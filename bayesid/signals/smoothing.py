@@ -220,6 +220,10 @@ class Splines:
         first = self.first[which]
         return Splines(first - first[0], self.values[:, which], int(first[-1] - first[0]) + _ORDER)
 
+    def repeated(self, times: int) -> Splines:
+        """The functions at the same times so often over: for more rows than one at each time."""
+        return Splines(np.tile(self.first, times), np.tile(self.values, (1, times, 1)), self.count)
+
     def motion(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position, velocity and acceleration (M, ...) of coefficients (k, ...)."""
         if coefficients.ndim == 1:
