@@ -84,6 +84,8 @@ class Quadratic:
 
 
 _SHOWN = 4
+#: Share of the largest singular value below which neither data nor a prior, which may be far weaker, tell an effect.
+_IMPROPER = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +150,8 @@ class PosteriorModel:
         hidden = np.zeros(0, bool)
         if names:
             known = self.prior_factor[self.link_count :, self.link_count : -1]  # of the effects
-            hidden = undetermined(np.concatenate([np.asarray(np.linalg.qr(stacked, mode="r")), known]))
+            rows = np.concatenate([np.asarray(np.linalg.qr(stacked, mode="r")), known])
+            hidden = undetermined(rows, _IMPROPER)
         if hidden.any():
             shown = [names[k] for k in np.flatnonzero(hidden)[:_SHOWN]]
             more = f" and {hidden.sum() - _SHOWN} more" if hidden.sum() > _SHOWN else ""

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Singular values of columns at unit length that count as none, relative to the largest: the root of the machine's precision, for
+#: Singular values of columns at unit length that count as none, relative to the largest. A URDF's right angles are rounded to
+#: 4e-6: columns of a link and its rotor that are alike but for that differ by some 1e-6, by which a fit takes kilotonnes for what
+#: its model lacks. What motions show is above 1e-4.
+UNSEEN = 1e-5
+#: Variances of correlated parameters that count as none, relative to the largest: the root of the machine's precision, for
 #: covariances are products of the factor with itself, in which nothing but rounding is left below it.
-UNSEEN = 1e-8
-#: Share of a direction that the rows do not show above which a column has a part in it.
-PART = 1e-6
+_NO_VARIANCE = 1e-8
+#: Share of a direction that the rows do not show above which a column has a part in it: below is what such rounding makes.
+PART = 1e-4
 #: What a row may take of a change that the data do not show, as a share of what it takes of the change's parts, of its own
 #: length, and of the longest row's: one that is nothing but rounding takes nothing. A URDF's right angles are rounded
 #: to 4e-6, and columns that are alike but for those are.
@@ -99,8 +103,8 @@ def unshown(covariance: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     own = covariance[np.ix_(at, at)]
     size = or_one(standard_deviations(own), 0.0)
     values, vectors = np.linalg.eigh(own / np.outer(size, size))
-    out = np.zeros((len(covariance), int(np.sum(values <= UNSEEN))))
-    out[at] = vectors[:, values <= UNSEEN] / size[:, None]
+    out = np.zeros((len(covariance), int(np.sum(values <= _NO_VARIANCE))))
+    out[at] = vectors[:, values <= _NO_VARIANCE] / size[:, None]
     return out / np.linalg.norm(out, axis=0)
 
 
