@@ -222,7 +222,7 @@ def _steps(table: Table) -> list[str]:
     if not said:
         return uneven
     apart = "the pieces between gaps are treated apart, too short ones left out, " * bool(len(gaps))
-    remedy = f"check the logger, or which rows `{call('import')}` said that it left out"
+    remedy = f"check the logger; or did `{call('import')}` leave rows out?"
     return [*uneven, f"{start}{'; '.join(said)} (a step is usually {table.step:.4g} s); {apart}{remedy}"]
 
 

@@ -149,7 +149,7 @@ DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("no inertial", no_inertial, ("robot.urdf: link lower: no <inertial>",)),
     ("gap", table(gap, "validation.csv"), ("validation.csv: column t", "gap at 1.99 to 2.3 s", "0.01 s")),
     ("lost samples", table(lost, "validation.csv"), ("validation.csv: column t: 2 samples are missing, the first after 1.49 s",)),
-    ("a lost sample", table(one_lost, "validation.csv"), ("1 sample is missing, after 1.49 s", "said that it left out")),
+    ("a lost sample", table(one_lost, "validation.csv"), ("1 sample is missing, after 1.49 s", "leave rows out?")),
     ("a lost sample and a gap", table(lost_beside_a_gap, "validation.csv"),
      ("gap at 1.99 to 2.3 s; 1 sample is missing elsewhere, after 1.49 s", "pieces between gaps")),
     ("clipped channel", table(clip), ("column fx", "stays at 5", "places", "clipped")),
