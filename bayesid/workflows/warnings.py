@@ -299,6 +299,7 @@ def not_settled(problem: Problem, estimate: Estimate) -> list[str]:
     values[point.free], stds[point.free] = estimate.solution[estimate.base.rank :], estimate.full_std[estimate.base.rank :]
     out, away = [], ran_away(problem, estimate)
     held = np.zeros(len(away), bool) if point.unsettled is None else point.unsettled
+    low, high = (np.array([v for e in problem.row_model.effects for v in getattr(e, side)]) for side in ("lower", "upper"))
     for effect, part in with_places(problem.row_model.effects):
         wide = np.isfinite(stds[part]) & (stds[part] > np.subtract(effect.upper, effect.lower))
         if not effect.shape or not (held[part] | away[part] | wide).any():
@@ -306,11 +307,16 @@ def not_settled(problem: Problem, estimate: Estimate) -> list[str]:
         each = zip(effect.parameters, values[part], effect.units, strict=True)
         shown = [f"{key} = {v:.3g} {powers(unit)}" for key, v, unit in each]
         kept = [key for key, own in zip(effect.parameters, held[part], strict=True) if own]
-        where = f", with {in_words(kept)} kept where the fit stopped" if kept else ""
+        at_end = (held & ((values == low) | (values == high)))[part].any()
+        where = "at the end of what is plausible" if at_end else "where the fit stopped"
+        why = "The data ask for what lies beyond" if at_end else "These motions do not tell it from other parameters"
+        classes = problem.experiment.library.classes
+        plain = [name for name in effect.confusable_with if at_end and name in classes and not classes[name].shape]
+        instead = f", try {' or '.join(plain)} in its place" if plain else ""
         out.append(
-            f"{effect.spec} did not settle: {listed(shown, 3)}{where}. These motions do not tell it from other parameters, which "
-            "are then not to be relied on, either. State what is known of it in [model.values], leave it out, or add motions "
-            "that show it."
+            f"{effect.spec} did not settle: {listed(shown, 3)}{f', with {in_words(kept)} kept {where}' if kept else ''}. {why}; "
+            f"other values are then not to be relied on, either. State what is known of it in [model.values], leave it "
+            f"out{instead}, or add motions that show it."
         )
     return out
 

@@ -330,7 +330,8 @@ def test_an_effect_that_ran_away_is_told(arm):
 def test_what_ran_away_stays_where_the_fit_stopped(arm, effects):
     """An estimate along a linearisation that says nothing there has a stiffness of -1e8 N/m, and lengths of as many metres."""
     found = bayesid.identify(arm, channel="torque", effects=effects)
-    assert sum("kept where the fit stopped" in w for w in found.warnings) == len(effects)
+    kept = ("kept where the fit stopped", "kept at the end of what is plausible")
+    assert sum(any(where in w for where in kept) for w in found.warnings) == len(effects)
     for effect, told in zip(found.problem.row_model.effects, found.effects(), strict=True):
         for key, low, high in zip(effect.parameters, effect.lower, effect.upper, strict=True):
             entry = told["parameters"][key]
@@ -338,6 +339,18 @@ def test_what_ran_away_stays_where_the_fit_stopped(arm, effects):
             assert low - 4 * (std or 0.0) <= entry["value"] <= high + 4 * (std or 0.0)
             assert key not in effect.shape or std is None
     assert found.validation[0].whitened_rms < 1.1
+
+
+def test_a_bristle_that_is_coulomb_friction_is_told_to_be_like_it(tmp_path):
+    """It was said that the motions do not tell its distance, where they tell that it is next to none."""
+    robot, motion = puma2(tmp_path), fourier(puma2(tmp_path), 1)
+    table = recording(robot, None, motion, seed=1, torque_std=0.3)
+    table = replace(table, torques=table.torques + 8.0 * np.sign(motion[2]))
+    found = bayesid.identify(
+        experiment(robot, [Motion("a", "identification", table)]), "torque", effects=["dahl_friction@joint2"]
+    )
+    (told,) = [w for w in found.warnings if "did not settle" in w]
+    assert "distance kept at the end of what is plausible" in told and "try coulomb_friction in its place" in told
 
 
 def test_a_level_that_starts_out_of_what_is_plausible_may_stay_there(tmp_path):
