@@ -355,19 +355,20 @@ class _JointFit:
         self, gone: np.ndarray, torque: np.ndarray, felt: np.ndarray | None, sharp: float, firm: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Torque that teeth feel at each sample (M,), close to ``felt`` if given, and what is left there (M,)."""
-        if felt is None:
+        at = felt
+        if at is None:
             one, other = kernel_input(torque), kernel_input(self.lean(torque))
-            felt = _best_tried(kernel_input(gone), one, other, sharp, kernel_input(firm), *self.tried)
-        off = gone - self.lean(felt)
-        left = sharp * off**2 + firm * (felt - torque) ** 2
+            at = np.asarray(_best_tried(kernel_input(gone), one, other, sharp, kernel_input(firm), *self.tried))
+        off = gone - self.lean(at)
+        left = sharp * off**2 + firm * (at - torque) ** 2
         for _ in range(_NEWTON):
-            slope, bent = self._curved(felt, off, sharp)
-            new = felt + (sharp * slope * off - firm * (felt - torque)) / (sharp * slope**2 + firm + bent)
+            slope, bent = self._curved(at, off, sharp)
+            new = at + (sharp * slope * off - firm * (at - torque)) / (sharp * slope**2 + firm + bent)
             beyond = gone - self.lean(new)
             now = sharp * beyond**2 + firm * (new - torque) ** 2
             better = now < left
-            felt, off, left = np.where(better, new, felt), np.where(better, beyond, off), np.where(better, now, left)
-        return felt, left
+            at, off, left = np.where(better, new, at), np.where(better, beyond, off), np.where(better, now, left)
+        return at, left
 
     def _curved(self, torque: np.ndarray, off: np.ndarray, sharp: float) -> tuple[np.ndarray, np.ndarray]:
         """Slope of the lean (M,), and what its bend adds to the second derivative of the sum, where that is positive (M,)."""
