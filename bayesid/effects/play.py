@@ -91,11 +91,11 @@ class Behind:
     """How far a link is behind its motor at the encoders' samples."""
 
     values: np.ndarray  # (M,) [rad or m]
-    solution: BetweenTeeth | None = None  # what that follows from; None where encoders cannot show it
+    solution: PlayFit | None = None  # what that follows from; None where encoders cannot show it
 
 
 @dataclass(frozen=True, eq=False)
-class BetweenTeeth:
+class PlayFit:
     """A link's motion between its encoder and its torque."""
 
     coefficients: np.ndarray  # of the splines (k,)
@@ -242,7 +242,7 @@ class _JointFit:
         return float(np.median(left[moves])) / _MEDIAN if moves.any() else 0.0
 
     @cached_property
-    def slow(self) -> BetweenTeeth:
+    def slow(self) -> PlayFit:
         """The slowest motion."""
         return self._rough(0, self.encoders, np.inf, 1.0)[0]
 
@@ -261,21 +261,21 @@ class _JointFit:
             found = min((self._finest(self._descended(share)) for share in _SHARES), key=lambda end: end.left)
         return Behind(self.lean(found.torque), found)
 
-    def _descended(self, share: float) -> BetweenTeeth:
+    def _descended(self, share: float) -> PlayFit:
         """The link's motion from level to level, with so many times the torque's error."""
         now, error = self.slow, np.inf
         for level in range(1, len(self.fitting.splines)):
             now, error = self._rough(level, self.encoders - self.lean(now.torque), error, share)
         return now
 
-    def _rough(self, level: int, link: np.ndarray, most: float, share: float) -> tuple[BetweenTeeth, float]:
+    def _rough(self, level: int, link: np.ndarray, most: float, share: float) -> tuple[PlayFit, float]:
         """The link's motion on a level from where it is about (M,), and what the splines leave of that, ``most`` at most."""
         splines, rate = self.fitting.splines[level], (2.0 * np.pi * self.fitting.cutoffs[level]) ** 2
         start = splines.nearest(link)
         error = min(float(np.std(link - splines.motion(start)[0])), most)
         return self._fitted(splines, start, None, error, share * rate * error, *_ROUGHLY), error
 
-    def _finest(self, start: BetweenTeeth, follows: bool = False) -> BetweenTeeth:
+    def _finest(self, start: PlayFit, follows: bool = False) -> PlayFit:
         """The link's motion on the last level, where torques are wrong by little more than noise makes of them.
 
         Where it ``follows`` the start, no teeth are tried but those that it rests on.
@@ -289,16 +289,16 @@ class _JointFit:
     def _fitted(
         self, splines: Splines, at: np.ndarray, felt: np.ndarray | None, error: float, rate: float, turns: int, steps: int,
         settled: float,
-    ) -> BetweenTeeth:  # fmt: skip
+    ) -> PlayFit:  # fmt: skip
         """The link's motion on one level from coefficients (k,), with errors of samples and of accelerations.
 
         The link's place hardly matters to inertia and weight: while the fit descends, the torque changes by the inertia times
         the acceleration, and it is computed anew in each turn. The torque that teeth feel (M,) stays close to ``felt``, if given.
         """
         if not self.firm:
-            return BetweenTeeth(at, self.torque(splines.motion(at)), np.inf)
+            return PlayFit(at, self.torque(splines.motion(at)), np.inf)
         error = max(error, _NONE * float(self.lean(np.array([LARGE]))[0]))
-        doubt, found = np.maximum(self.inertia * rate, _EXACT * self.firm), BetweenTeeth(at, np.zeros(0), np.inf)
+        doubt, found = np.maximum(self.inertia * rate, _EXACT * self.firm), PlayFit(at, np.zeros(0), np.inf)
         for _ in range(turns):
             own = splines.motion(found.coefficients)
             held, before = self.torque(own) - self.inertia * own[2], found.left
@@ -311,7 +311,7 @@ class _JointFit:
     def _stepped(
         self, splines: Splines, at: np.ndarray, felt: np.ndarray | None, held: np.ndarray, error: float, doubt: np.ndarray,
         steps: int, settled: float,
-    ) -> BetweenTeeth:  # fmt: skip
+    ) -> PlayFit:  # fmt: skip
         """The link's motion after Gauss-Newton steps, with a torque ``held + inertia acceleration`` (M,) and its error (M,).
 
         With the torque that teeth feel as it is best at each sample, the second derivatives with respect to how far the link is
@@ -349,7 +349,7 @@ class _JointFit:
             damping = damping / _MORE_DAMPING if damping > 1e-3 * _DAMPING else 0.0
             if left > (1.0 - settled) * before:
                 break
-        return BetweenTeeth(at, found, left)
+        return PlayFit(at, found, left)
 
     def _felt(
         self, gone: np.ndarray, torque: np.ndarray, felt: np.ndarray | None, sharp: float, firm: np.ndarray
