@@ -215,11 +215,6 @@ class Splines:
             polynomial = polynomial[:, 1:] * np.arange(1, _ORDER - order)
         return cls(first, values, count)
 
-    def part(self, which: slice) -> Splines:
-        """The functions that live at some neighbouring times."""
-        first = self.first[which]
-        return Splines(first - first[0], self.values[:, which], int(first[-1] - first[0]) + _ORDER)
-
     def repeated(self, times: int) -> Splines:
         """The functions at the same times so often over: for more rows than one at each time."""
         return Splines(np.tile(self.first, times), np.tile(self.values, (1, times, 1)), self.count)
