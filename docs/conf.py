@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import inspect
 import re
+import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
-from xml.etree import ElementTree
 
 from docutils.nodes import SkipNode
 from docutils.utils.math import MathError
-from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.errors import ExtensionError
 
 import bayesid
+
+sys.path.insert(0, str(Path(__file__).parent))
+from formulas import mathml  # noqa: E402
 
 project = "bayesid"
 author = "The bayesid developers"
@@ -49,41 +51,11 @@ html_show_sourcelink = False
 html_theme_options = {"show_toc_level": 2, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
 
 
-_MATHML = "http://www.w3.org/1998/Math/MathML"
-
-
-ElementTree.register_namespace("", _MATHML)
-
-
 def _mathml(node, block: bool) -> str:
-    """A formula as browsers draw it themselves: no script, no network."""
-    formula, _, number = node.astext().partition(r"\tag{")
-    formula = re.sub(r"(\\[td]?frac) ?(\d)(\d)", r"\1{\2}{\3}", formula)  # TeX takes digits one by one, docutils the number
     try:
-        drawn = tex2mathml(formula, as_block=block)
+        return mathml(node.astext(), block)
     except MathError as error:
-        raise ExtensionError(f"formula {formula!r}: {error}") from None
-    drawn = _mended(drawn)
-    if not number:
-        return drawn
-    return f'<div class="math-wrapper">{drawn}<span class="eqno">({number.rstrip().rstrip("}")})</span></div>'
-
-
-def _mended(drawn: str) -> str:
-    """MathML with indices behind accented letters, overlines of any length, and names of functions apart from what follows."""
-    # Not every font has an overline that stretches; a border does.
-    over = r'<mover accent="false">(.*?)<mo accent="true">_</mo>\s*</mover>'
-    drawn = re.sub(over, r'<mrow class="overline">\1</mrow>', drawn, flags=re.DOTALL)
-    drawn = drawn.replace(' accent="true"', "")  # with it, browsers draw the dots of derivatives into the letter
-    drawn = re.sub(r"<mo>&ApplyFunction;</mo>(?=\s*<m(?!o))", '<mspace width="0.17em"/>', drawn)
-    root = ElementTree.fromstring(drawn.replace("&ApplyFunction;", "\u2061"))
-    for both in root.iter(f"{{{_MATHML}}}munderover"):
-        letter, index, accent = both
-        if letter.tag.endswith("}mi") and accent.tag.endswith("}mo"):
-            both.tag = f"{{{_MATHML}}}msub"
-            both[:] = [ElementTree.Element(f"{{{_MATHML}}}mover"), index]
-            both[0].extend([letter, accent])
-    return ElementTree.tostring(root, encoding="unicode")
+        raise ExtensionError(f"formula {node.astext()!r}: {error}") from None
 
 
 def _inline(self, node) -> None:
