@@ -82,7 +82,9 @@ class RotorMomentum(RotorEffect):
         "$J z \\cdot \\dot\\omega$, and gear ratio $\\times J \\ddot q$ where `gear_ratio` is stated"
     )
     source = "angular momentum, cf. [Spong1987](references.md), which leaves it out"
-    quantities = (Parameter("inertia", "kg m^2", lower=0.0, typical=partial(sizes.effort, share=1e-4), sliding="kg m"),)
+    quantities = (
+        Parameter("inertia", "kg m^2", lower=0.0, typical=partial(sizes.effort, share=1e-4), sliding="kg m", lasting=True),
+    )
     along_joint = True  # the gear ratio is per radian or per metre
     confusable_with = ("inertia_error", "rotor_inertia")
 

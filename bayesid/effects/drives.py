@@ -23,7 +23,7 @@ class RotorInertia(JointTorqueEffect):
     name = "rotor_inertia"
     summary = "inertia of motor and gears, seen from the joint"
     equation = "$J\\,\\ddot q$; the value is gear ratio² × rotor inertia"
-    quantities = (Parameter("inertia", "kg m^2", lower=0.0, typical=partial(sizes.effort, share=0.01)),)
+    quantities = (Parameter("inertia", "kg m^2", lower=0.0, typical=partial(sizes.effort, share=0.01), lasting=True),)
     confusable_with = ("inertia_error", "rotor_momentum")
     column_in_time = "interpolated"
 
@@ -86,6 +86,7 @@ class CoupledFriction(ReadingEffect):
     at = "joint->joint"
     along_joint = True
     summary = "friction and rotor of a motor that another joint turns, too, where tables give positions and torques of the joints"
+    wanders = True
     equation = (
         "$c_v\\dot m + l\\,\\mathrm{sign}\\,\\dot m + J\\ddot m$ in the torque of joint $k$, $c$ times that in the torque of "
         "joint $j$, with the motor at $m = q_k + c\\,q_j$"
@@ -93,10 +94,10 @@ class CoupledFriction(ReadingEffect):
     source = "virtual work: motors and joints share their power; friction as in [Armstrong1994](references.md)"
     quantities = (
         # Shafts that run through another joint turn with it once: other gears are found from there.
-        Parameter("coupling", "1", -5.0, 5.0, start=1.0, typical=1.0, linear=False, tried=(1.0, -1.0)),
+        Parameter("coupling", "1", -5.0, 5.0, start=1.0, typical=1.0, linear=False, tried=(1.0, -1.0), lasting=True),
         Parameter("viscous", "N m s/rad", lower=0.0, typical=partial(sizes.viscous, share=0.06)),
         Parameter("coulomb", "N m", lower=0.0, typical=partial(sizes.effort, share=0.05)),
-        Parameter("inertia", "kg m^2", lower=0.0, typical=partial(sizes.effort, share=0.01)),
+        Parameter("inertia", "kg m^2", lower=0.0, typical=partial(sizes.effort, share=0.01), lasting=True),
     )
     confusable_with = ("viscous_friction", "coulomb_friction", "rotor_inertia")
     # The joint whose motor it is has no other one.

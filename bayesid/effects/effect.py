@@ -75,6 +75,9 @@ class Parameter:
     step: float = 1e-4  # of central differences; relative to the value where that is larger
     tried: tuple[float, ...] = ()  # values of a shape parameter that a search for effects tries; default the start
     sliding: str | None = None  # the unit for a sliding joint, where it is not that of `Effect.units`
+    lasting: bool = False  # whether it is what a robot is built with, such as gears and rotors, and stays as it is
+    #: Parameter of another effect at the same place, ``effect.parameter``, whose torque it takes away as the drive warms.
+    fall_of: str = ""
 
 
 #: Units along a sliding joint by those about a turning one.
@@ -137,7 +140,8 @@ class Effect(ABC):
     along_joint: ClassVar[bool] = False  # whether its parameters are in units of its joint's position and force
     #: Numbers of periods per radian or metre, where it is a sine of the joint's position; these are tried.
     harmonics: ClassVar[tuple[float, ...]] = ()
-    #: Whether its values change from day to day, with temperature, load and grease, without anything having changed.
+    #: Whether its values, but those of shapes and lasting ones, change from day to day, with temperature, load and grease,
+    #: without anything having changed.
     wanders: ClassVar[bool] = False
     since_zero: ClassVar[bool] = False  # whether it grows from time zero of the tables on
     last_resort: ClassVar[bool] = False  # whether `trials` are made only where columns leave something unexplained

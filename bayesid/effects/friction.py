@@ -188,8 +188,8 @@ class WarmingFriction(JointTorqueEffect):
     # Rates, not whole falls: a recording that is short against the time constant shows the rates alone. They fall, and slowly:
     # friction that grew within a second would be friction that the model lacks.
     quantities = (
-        Parameter("level", "N m/s", lower=0.0),
-        Parameter("coefficient", "N m/rad", lower=0.0, start=0.01),
+        Parameter("level", "N m/s", lower=0.0, fall_of="coulomb_friction.level"),
+        Parameter("coefficient", "N m/rad", lower=0.0, start=0.01, fall_of="viscous_friction.coefficient"),
         Parameter("time", "s", 5.0, 1e5, start=30.0, linear=False, step=1e-3, tried=WARMING_TIMES),
     )
     confusable_with = ("viscous_friction", "coulomb_friction", "torque_gain")

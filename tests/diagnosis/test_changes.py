@@ -14,13 +14,13 @@ import bayesid
 from bayesid.cli import main
 from bayesid.diagnosis.changes.evidence import Marginal, Reduced, amplitudes, expected_gain, gain
 from bayesid.diagnosis.changes.findings import ReferenceComparison
-from bayesid.diagnosis.changes.hypotheses import Hypothesis, SharedAmplitudes
+from bayesid.diagnosis.changes.hypotheses import Hypothesis, SharedAmplitudes, hypotheses, warming_columns
 from bayesid.diagnosis.changes.proposals import make_proposals, with_proposals
 from bayesid.diagnosis.changes.recording import read_recording
 from bayesid.diagnosis.changes.reference import learn_reference
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES, WANDER_FACTORS
 from bayesid.diagnosis.settings import DEFAULT
-from bayesid.effects import EffectLibrary, Term
+from bayesid.effects import EffectLibrary, JointTorqueEffect, Parameter, Term
 from bayesid.effects.friction import CoulombFriction
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Motion, Sensor
@@ -300,6 +300,44 @@ def test_friction_that_wanders_within_a_recording_is_no_change(arm):
         for seed, way in ((1, 1.0), (2, -1.0))
     )
     assert bayesid.diagnose(after, reference=before).verdict == "nothing_missing"
+
+
+class SlackeningFriction(JointTorqueEffect):
+    """Friction that fades in proportion to time, as nobody but this class knows."""
+
+    name = "slackening_friction"
+    quantities = (Parameter("rate", "N m/s", typical=0.01, fall_of="coulomb_friction.level"),)
+    since_zero = True
+
+    def torque(self, motion, values):
+        return -values[0] * motion.time * motion.direction
+
+
+def test_an_effect_says_itself_what_of_friction_fades_within_a_recording(arm):
+    made = _recorded(arm, 1)
+    reference = learn_reference(replace(made, library=made.library.with_classes([SlackeningFriction], "test")))
+    rows = read_recording(reference, made, None).rows
+    columns, sizes = warming_columns(reference, rows)
+    friction = {h.spec: h.columns[0] for h in hypotheses(reference)}
+    mine, his = (friction[f"{name}@joint1"] for name in ("slackening_friction", "coulomb_friction"))
+    assert mine in columns
+    # Warming has three time constants, this is a fourth: each has a quarter of a tenth of friction's torque, squared.
+    fades, known = np.linalg.norm(rows[:, [mine, his]], axis=0)
+    assert sizes[columns == mine] * fades == pytest.approx(0.1 / 2.0 * reference.solution[his] * known)
+
+
+def test_what_a_robot_is_built_with_stays_and_its_friction_wanders(arm):
+    """Shafts and rotor of a motor that two joints turn."""
+    effects = ("coupled_friction@joint5->joint6", "rotor_inertia@joint1")
+    reference = learn_reference(_recorded(arm, 1), effects=effects)
+    names = [name for e in reference.effects for name in e.column_names]
+    friction = dict(zip(names, reference.wanders(friction=True)[-len(names) :], strict=True))
+    gains = dict(zip(names, reference.wanders(friction=False)[-len(names) :], strict=True))
+    own = [n for n in names if n.startswith(effects)]
+    assert [n.rpartition(".")[2] for n in own if friction[n] > 0.0] == ["viscous", "coulomb"] and not any(gains.values())
+    found = {h.spec: [n for n, _ in h.parameters] for h in hypotheses(reference)}
+    assert found["coupled_friction@joint5->joint6"] == ["viscous", "coulomb"]
+    assert not any(spec.startswith(("rotor_inertia", "rotor_momentum")) for spec in found)
 
 
 def test_what_a_joint_shows_only_where_it_stands_is_no_change(arm):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -12,10 +11,9 @@ from scipy.linalg import block_diag
 
 from bayesid.diagnosis.changes.proposals import ChangeProposal, sizes_of
 from bayesid.diagnosis.changes.reference import Reference
-from bayesid.diagnosis.changes.scales import FRICTION_SHARE, LASTING, PAYLOAD_MASS, PAYLOAD_REACHES, SIZES, body_sizes
-from bayesid.effects import Effect, JointGainEffect
+from bayesid.diagnosis.changes.scales import FRICTION_SHARE, PAYLOAD_MASS, PAYLOAD_REACHES, SIZES, body_sizes
+from bayesid.effects import Effect, JointGainEffect, with_places
 from bayesid.effects.bodies import Payload, body_of
-from bayesid.effects.friction import WarmingFriction
 
 #: Where a change is that all joints share.
 EVERYWHERE = "every joint"
@@ -60,7 +58,12 @@ class Hypothesis:
     def parameters(self) -> tuple[tuple[str, str], ...]:
         """Name and unit of each amplitude (k,)."""
         several = len(self.effects) > 1
-        each = [(f"{e.where}.{n}" if several else n, u) for e in self.effects for n, u in zip(e.parameters, e.units, strict=True)]
+        each = [
+            (f"{e.where}.{p.name}" if several else p.name, unit)
+            for e in self.effects
+            for p, unit in zip(e.quantities, e.units, strict=True)
+            if not p.lasting
+        ]
         if self.proposal is not None:
             each = [each[k] for k in np.flatnonzero(self.proposal.active)]
         return tuple(each[: len(self.columns)])
@@ -89,10 +92,6 @@ def gain_columns(reference: Reference) -> np.ndarray:
     return np.array([k for p, k in _placed(reference) if isinstance(p.effect, JointGainEffect)], int).ravel()
 
 
-#: Friction of the model that falls with each parameter of a drive that warms.
-_WARMED = {"level": "coulomb_friction", "coefficient": "viscous_friction"}
-
-
 def warming_columns(reference: Reference, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Columns of friction that falls or rises within a recording (k,), and their standard deviations with nothing changed (k,).
 
@@ -100,20 +99,20 @@ def warming_columns(reference: Reference, rows: np.ndarray) -> tuple[np.ndarray,
     recording's rows (N, q). All time constants are equally likely.
     """
     model = reference.problem.row_model
-    of_friction = model.of_free((e.spec, name) for e in model.effects for name in e.parameters)
-    friction = {key: model.base.rank + k for k, key in enumerate(of_friction)}
-    warming = [(p, own) for p, own in _placed(reference) if isinstance(p.effect, WarmingFriction)]
-    times = Counter(p.effect.spec for p, _ in warming)
-    columns, sizes = [], []
-    for proposal, own in warming:
-        effect = proposal.effect
-        for column, name in zip(own, np.array(effect.parameters)[proposal.active], strict=True):
-            known, falls = friction.get((f"{_WARMED.get(name)}@{effect.where}", name)), np.linalg.norm(rows[:, column])
-            if known is not None and falls > 0.0:
-                torque = np.linalg.norm(rows[:, known]) * abs(reference.solution[known])
-                columns.append(column)
-                sizes.append(FRICTION_SHARE * torque / falls / np.sqrt(times[effect.spec]))
-    return np.array(columns, int), np.array(sizes)
+    own = model.of_free((e.where, f"{e.name}.{name}") for e in model.effects for name in e.parameters)
+    known = {key: model.base.rank + k for k, key in enumerate(own)}
+    falls: dict[int, list[int]] = {}  # columns of every time constant, by that of the friction that falls
+    for proposal, columns in _placed(reference):
+        for column, k in zip(columns, np.flatnonzero(proposal.active), strict=True):
+            friction = known.get((proposal.effect.where, proposal.effect.quantities[k].fall_of))
+            if friction is not None and rows[:, column].any():
+                falls.setdefault(friction, []).append(column)
+    sizes = [
+        FRICTION_SHARE * abs(reference.solution[k]) * np.linalg.norm(rows[:, k])
+        / np.linalg.norm(rows[:, columns], axis=0) / np.sqrt(len(columns))
+        for k, columns in falls.items()
+    ]  # fmt: skip
+    return np.concatenate([np.zeros(0, int), *falls.values()]), np.concatenate([np.zeros(0), *sizes])
 
 
 def _bodies(reference: Reference) -> Iterator[Hypothesis]:
@@ -133,14 +132,11 @@ def _known(reference: Reference) -> Iterator[Hypothesis]:
     """Other values of the model's own effects, one by one; friction of all joints at once wanders."""
     model = reference.problem.row_model
     column = np.cumsum(model.free) - 1 + model.base.rank
-    start = 0
-    for effect in model.effects:
-        own = np.arange(start, start + len(effect.parameters))
-        start += len(own)
-        sizes = np.abs(np.asarray(effect.typical(reference.robot), float))
-        if not model.free[own].all() or sizes.min() == 0.0 or isinstance(effect, LASTING):
-            continue
-        yield Hypothesis(effect.name, effect.where, (effect,), column[own], sizes, known=True)
+    for effect, place in with_places(model.effects):
+        changes = np.array([not p.lasting for p in effect.quantities])
+        free, sizes = model.free[place][changes], np.abs(effect.typical(reference.robot))[changes]
+        if changes.any() and free.all() and sizes.min() > 0.0:
+            yield Hypothesis(effect.name, effect.where, (effect,), column[place][changes], sizes, known=True)
 
 
 def _new(reference: Reference) -> Iterator[Hypothesis]:

@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesid.diagnosis.changes.scales import LASTING
 from bayesid.effects import BodyEffect, Effect, Linearisation, MotionSegment, Point, Term, columns
-from bayesid.effects.drives import CoupledFriction
 from bayesid.effects.surroundings import surroundings_of
 from bayesid.regression.problem import Problem
 from bayesid.regression.row_model import RowModel
@@ -91,7 +89,7 @@ def make_proposals(problem: Problem, links: np.ndarray) -> tuple[ChangeProposal,
     known = {e.spec for e in model.effects}
     out = []
     for name, kind in experiment.library.classes.items():
-        if issubclass(kind, (BodyEffect, CoupledFriction, *LASTING)) or kind.once:
+        if issubclass(kind, BodyEffect) or kind.once or any(p.lasting for p in kind.quantities):
             continue
         for effect in experiment.library.places(name, robot.joint_names, model.channels.names, experiment.gear_ratio):
             if effect.spec in known or not effect.sought(around):

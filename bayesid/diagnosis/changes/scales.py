@@ -11,15 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from bayesid.effects import Effect, JointGainEffect
-from bayesid.effects.bodies import RotorMomentum
-from bayesid.effects.drives import CoupledFriction, RotorInertia
 from bayesid.effects.sizes import mass_beyond, reach
 from bayesid.robot.robot import Robot
 
-#: What a robot is built with: it does not change, so another value of it is a sign of something else.
-LASTING = (RotorInertia, RotorMomentum)
-#: What of a coupled friction wanders, its gears and rotor do not.
-_COUPLED = ("viscous", "coulomb")
 #: Friction wanders by this share of its value, and by this share of a typical size where its value is near zero.
 FRICTION_SHARE, FRICTION_FLOOR = 0.1, 1e-3
 #: Drive gains differ from those of the reference by this share.
@@ -40,12 +34,7 @@ def wander(effect: Effect, values: np.ndarray, robot: Robot) -> np.ndarray:
     """Standard deviation of an effect's values (k,) from one recording to another with nothing changed; zero: it stays."""
     if isinstance(effect, JointGainEffect):
         return np.full(len(values), GAIN_SHARE)
-    if isinstance(effect, CoupledFriction):
-        free = np.isin(effect.parameters, _COUPLED)
-    elif effect.wanders:
-        free = np.array([p.linear for p in effect.quantities])
-    else:
-        return np.zeros(len(values))
+    free = np.array([effect.wanders and p.linear and not p.lasting for p in effect.quantities])
     return np.where(free, FRICTION_SHARE * np.abs(values) + FRICTION_FLOOR * np.abs(effect.typical(robot)), 0.0)
 
 
