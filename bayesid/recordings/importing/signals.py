@@ -29,6 +29,7 @@ from bayesid.recordings.toml_file import LARGEST
 #: In a table of several topics, a quantity without a reading in most rows has its own, slower times.
 _OWN_TIMES = 0.5
 _JUDGED = 200_000  # rows that are looked at for repeated samples
+_REGULAR = 0.9  # share of held positions with a single velocity of which the velocities are differences
 _SAID = {"q": "positions", "v": "velocities", "qr": "positions", "tau": "torques", "f": "forces", "m": "moments"}
 #: What is said of rows that are left out, with how many of how many, and of what.
 STALLED = (
@@ -145,10 +146,11 @@ def make_signals(
             tuple(stream.full_name(f.column) for f in found), units, scales, stream.name, clock,
             int(np.count_nonzero(~np.isnan(values).any(axis=1))),
         )  # fmt: skip
-        signals.append(_without_held(signal) if held else signal)
+        signals.append(signal)
     if held:
-        signals, stalled = _without_stalls(signals)
-        notes += stalled
+        signals, differences = _without_differences(signals)
+        signals, stalled = _without_stalls([_without_held(s) for s in signals])
+        notes += [*differences, *stalled]
     return signals, list(dict.fromkeys(notes))
 
 
@@ -268,12 +270,36 @@ def _without_stalls(signals: Sequence[Signal]) -> tuple[list[Signal], list[str]]
     return out, notes
 
 
+def _without_differences(signals: Sequence[Signal]) -> tuple[list[Signal], list[str]]:
+    """Signals without velocities that are differences of held positions from one row to the next, and notes.
+
+    Such velocities are 0 in all but one of the rows that hold a position, and as many times too large in that one.
+    """
+    out, notes = list(signals), []
+    for q in (s for s in signals if s.quantity == "q"):
+        rows, new = _without_held(q).held, _new(q)
+        moving = np.diff(new) <= 2.0 * rows  # else at rest
+        for v in (s for s in signals if s.quantity == "v" and rows > 1.0 and np.array_equal(s.times, q.times)):
+            told = np.add.reduceat(v.values.any(axis=1), new, dtype=int)[:-1]  # rows with a velocity, of each position
+            if np.mean(told[moving] == 1) >= _REGULAR:
+                out.remove(v)
+                notes.append(
+                    f"velocities: 0 in all but one of the {rows:.3g} rows that repeat a position: differences from row to row; "
+                    "not used, the positions tell"
+                )
+    return out, notes
+
+
+def _new(signal: Signal) -> np.ndarray:
+    """Rows in which a signal changes, the first among them (k,)."""
+    return np.flatnonzero(np.append(True, (np.diff(signal.values, axis=0) != 0.0).any(axis=1)))
+
+
 def _without_held(signal: Signal) -> Signal:
     """The signal without the rows that only repeat a sample of a slower topic until the next one comes."""
     held = [rows for column in signal.values.T if (rows := rows_held(column[:_JUDGED])) is not None]
     moving = [column for column in signal.values.T if np.ptp(column) > 0.0]
     if not held or len(held) < 0.5 * len(moving):
         return signal
-    new = np.append(True, (np.diff(signal.values, axis=0) != 0.0).any(axis=1))
-    share = len(new) / max(int(new.sum()), 1)
-    return replace(signal, times=signal.times[new], values=signal.values[new], held=share)
+    new = _new(signal)
+    return replace(signal, times=signal.times[new], values=signal.values[new], held=len(signal.times) / len(new))

@@ -351,6 +351,28 @@ def test_a_table_of_merged_topics_has_the_times_of_the_slower(known, tmp_path):
     assert any("rows are at the times of wrench" in text for text in imported.recordings[0].recording.done)
 
 
+def test_velocities_that_are_differences_of_held_positions_are_not_used(known, tmp_path):
+    """A logger three times as fast as the robot that differences what it logs: 0 in two rows of three."""
+    step, count = known.t[1] - known.t[0], len(known.t[::3])
+    for ahead in (0, 1):
+        frame = pd.DataFrame({"t": step * np.arange(3 * count)})
+        for k in range(2):
+            held = np.repeat(known.q[::3, k], 3)
+            frame[f"q{k + 1}"], frame[f"tau{k + 1}"] = held, np.repeat(known.tau[::3, k], 3)
+            steps = np.diff(held) / step
+            frame[f"v{k + 1}"] = np.append(steps, 0.0) if ahead else np.append(0.0, steps)
+        frame.to_csv(tmp_path / "log.csv", index=False)
+        imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, joints=JOINTS)
+        table = imported.experiment.motions[0].table
+        assert table.velocities is None and "times what the positions say" not in str(imported)
+        assert any("0 in all but one of the 3 rows" in text for text in imported.recordings[0].recording.done)
+        np.testing.assert_allclose(table.positions, known.q[::3], atol=1e-12)
+        frame[["v1", "v2"]] = np.repeat(known.v[::3], 3, axis=0)  # a drive's own are held as the positions are, and are used
+        frame.to_csv(tmp_path / "log.csv", index=False)
+        table = only(tmp_path / "log.csv", known, joints=JOINTS)
+        np.testing.assert_allclose(table.velocities, known.v[::3], atol=1e-12)
+
+
 def test_files_of_topics_are_joined(known, tmp_path):
     by_joint(known, time=START / 1e9 + known.t).to_csv(tmp_path / "joints.csv", index=False)
     wrench = pd.DataFrame(known.wrench, columns=list(WRENCH_COLUMNS))
