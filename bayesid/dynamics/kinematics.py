@@ -162,7 +162,10 @@ def readings_of_bodies(
     out = np.empty((len(q), len(channels)))
     twists = channels.joint, channels.root_twists, np.full(len(channels), -1)
     chained = *_tables(robot), np.array(gravity, float)
-    add_up_readings(q, v, a, *chained, *twists, carries, row_of, kernel_input(links), out)
+    some = carries.any(axis=0)  # what no channel carries is nothing to them
+    add_up_readings(
+        q, v, a, *chained, *twists, np.ascontiguousarray(carries[:, some]), row_of[some], kernel_input(links[some]), out
+    )
     return out
 
 

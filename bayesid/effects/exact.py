@@ -19,7 +19,6 @@ from bayesid.effects.families import differences
 from bayesid.effects.flexible import Motion
 from bayesid.effects.library import by_number
 from bayesid.effects.model import Model
-from bayesid.effects.play import LARGE
 from bayesid.effects.segment import MotionSegment
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
@@ -122,7 +121,7 @@ def _without_play(model: Model, effect: families.PlayEffect) -> bool:
     """Whether a joint's play is none as yet, and links are elsewhere where motors hold them."""
     gives = [t for family in _GIVING for t in model.of_family(family)]
     values = next(values for own, values in gives if own == effect)
-    return len(gives) == 1 and not effect.lean(np.array([-LARGE, LARGE]), values).any()
+    return len(gives) == 1 and effect.teeth(values)[0] == 0.0
 
 
 def _play_columns(model: Model, effect: families.PlayEffect, values: tuple[float, ...]) -> np.ndarray:

@@ -148,12 +148,13 @@ class PlayEffect(Effect):
     amplifies_encoder_errors = True
 
     @abstractmethod
+    def teeth(self, values: Sequence[float]) -> tuple[float, float]:
+        """How far the link stays behind the motor at most [rad or m], and the torque at which teeth are firm [N m or N]."""
+
     def lean(self, torque: np.ndarray, values: Sequence[float]) -> np.ndarray:
         """How far the link stays behind the motor (N,) [rad or m] under the joint's torque (N,)."""
-
-    @abstractmethod
-    def slope(self, torque: np.ndarray, values: Sequence[float]) -> np.ndarray:
-        """Derivative of `lean` with respect to the torque (N,) [rad/(N m) or m/N]."""
+        most, firm = self.teeth(values)
+        return most * np.tanh(torque / firm)
 
 
 class MountEffect(Effect):

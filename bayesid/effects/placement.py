@@ -88,18 +88,16 @@ class Backlash(PlayEffect):
     def reach(self, values, bandwidth, step):
         return OVERLAP / bandwidth
 
-    def lean(self, torque, values):
-        return 0.5 * values[0] * np.tanh(torque / values[1])
-
-    def slope(self, torque, values):
-        return 0.5 * values[0] / values[1] * (1.0 - np.tanh(torque / values[1]) ** 2)
+    def teeth(self, values):
+        return 0.5 * values[0], values[1]
 
     def is_another(self, values, doubt, travel):
         # A gap of any size between teeth that are as soft for it is a spring.
         return values[0] <= doubt[0]
 
     def as_another(self, values):
-        return Term(JointFlexibility(*astuple(self)), (float(self.slope(np.zeros(1), values)[0]),))
+        most, firm = self.teeth(values)
+        return Term(JointFlexibility(*astuple(self)), (most / firm,))
 
     def linearisations(self, around):
         # Without play the torque at which teeth are firm says nothing: it is tried.

@@ -27,7 +27,6 @@ import numpy as np
 from bayesid.effects.families import PlayEffect
 from bayesid.effects.flexible import Motion
 from bayesid.effects.segment import REST_SPEED
-from bayesid.signals.arrays import kernel_input
 from bayesid.signals.smoothing import Splines
 
 #: Highest bandwidth of the splines [Hz]: links of arms hardly move faster, and splines that can, imitate the steps.
@@ -53,8 +52,6 @@ _NEWTON = 2
 _MEDIAN = 0.6745
 #: Errors that are none: of a torque, over the one at which teeth are firm, and of an encoder, over the play.
 _EXACT, _NONE = 1e-3, 1e-6
-#: A torque that presses any teeth together [N m or N].
-LARGE = 1e9
 #: Time in which no encoder moves, for a rest [s].
 _REST = 0.1
 #: Turns for poses, whose weight hardly changes with the play.
@@ -122,7 +119,9 @@ class Recorded:
         link, out = [part.copy() for part in self.smooth], {}
 
         def fit(joint: int) -> _JointFit:
-            return _JointFit.of(self, link, joint, [(effect, values) for effect, values in play if effect.joint == joint])
+            return _JointFit.of(
+                self, link, joint, *next(effect.teeth(values) for effect, values in play if effect.joint == joint)
+            )
 
         fits = {joint: fit(joint) for joint in which}
         located = [joint for joint in which if fits[joint].is_located(start.get(joint))]
@@ -135,7 +134,7 @@ class Recorded:
 
     def slow_torque(self, joint: int) -> np.ndarray:
         """The torque (M,) that a joint without play takes of its slow motion, by which play too small to be located leans."""
-        fit = _JointFit.of(self, self.smooth, joint, ())
+        fit = _JointFit.of(self, self.smooth, joint)
         slowest = self.fitting.splines[0]
         return fit.torque(slowest.motion(slowest.nearest(fit.encoders)))
 
@@ -192,14 +191,15 @@ def _spread(encoders: np.ndarray, size: int) -> np.ndarray:
 class _JointFit:
     """The fit of one joint's link motion."""
 
-    play: Sequence[tuple[PlayEffect, Sequence[float]]]  # what the joint has of it
+    most: float  # how far the link is behind the motor at most [rad or m]
+    firm: float  # torque at which teeth are firm [N m or N]
     fitting: Fitting  # what the encoders' samples are fitted with
     encoders: np.ndarray  # the joint's own (M,)
     torque: Callable[[Sequence[np.ndarray]], np.ndarray]  # the joint's (M,) along a motion of its link, three times (M,)
     inertia: np.ndarray  # that it feels, zero while it is at rest (M,)
 
     @classmethod
-    def of(cls, recorded: Recorded, link: Sequence[np.ndarray], joint: int, play) -> _JointFit:
+    def of(cls, recorded: Recorded, link: Sequence[np.ndarray], joint: int, most: float = 0.0, firm: float = 1.0) -> _JointFit:
         """The fit of a joint while others move as they do."""
         only, still, torque = np.array([joint]), recorded.fitting.still, recorded.torque
         held = torque((link[0], 0.0 * link[1], 0.0 * link[2]), only)[:, 0] if still.any() else 0.0
@@ -211,25 +211,22 @@ class _JointFit:
             return np.where(still, held, torque((moved[0], moved[1], moved[2]), only)[:, 0])
 
         felt = np.where(still, 0.0, recorded.inertia(joint))
-        return cls(play, recorded.fitting, recorded.encoders[:, joint], taken, felt)
+        return cls(most, firm, recorded.fitting, np.ascontiguousarray(recorded.encoders[:, joint]), taken, felt)
 
     def lean(self, torque: np.ndarray) -> np.ndarray:
-        return sum((effect.lean(torque, values) for effect, values in self.play), np.zeros(len(torque)))
-
-    def slope(self, torque: np.ndarray) -> np.ndarray:
-        return sum((effect.slope(torque, values) for effect, values in self.play), np.zeros(len(torque)))
-
-    @cached_property
-    def firm(self) -> float:
-        """Torque [N m or N] that would bring teeth through the play if they stayed as soft as without load; 0 without play."""
-        (most,), (slope,) = self.lean(np.array([LARGE])), self.slope(np.zeros(1))
-        return float(most / slope) if slope > 0.0 else 0.0
+        """How far the link is behind (M,) under torques (M,)."""
+        return self.most * np.tanh(torque / self.firm)
 
     @cached_property
     def tried(self) -> tuple[np.ndarray, np.ndarray]:
-        """Torques that are tried at each sample (k,), and how far the link is behind at each (k,)."""
+        """Torques that are tried at each sample, from small to large (k,), and how far the link is behind at each (k,)."""
         torques = self.firm * np.concatenate([-_FAR[::-1], _CLOSE, _FAR])
-        return kernel_input(torques), kernel_input(self.lean(torques))
+        return torques, self.lean(torques)
+
+    @cached_property
+    def left(self) -> np.ndarray:
+        """What the finest splines leave of the encoder (M,) [rad or m]."""
+        return self.fitting.splines[-1].remainder(self.encoders)
 
     @cached_property
     def noise(self) -> float:
@@ -237,9 +234,8 @@ class _JointFit:
 
         An encoder that stands still shows none.
         """
-        left = np.abs(self.fitting.splines[-1].remainder(self.encoders))
         moves = _spread(self.encoders, _samples(self.fitting.step)) > 0.0
-        return float(np.median(left[moves])) / _MEDIAN if moves.any() else 0.0
+        return float(np.median(np.abs(self.left[moves]))) / _MEDIAN if moves.any() else 0.0
 
     @cached_property
     def slow(self) -> PlayFit:
@@ -248,10 +244,8 @@ class _JointFit:
 
     def is_located(self, start: Behind | None) -> bool:
         """Whether encoders can show where the play is crossed; a start says how far the link is behind without a fit."""
-        finest = self.fitting.splines[-1]
-        noise = np.std(self.encoders - finest.motion(finest.nearest(self.encoders))[0])
         behind = self.lean(self.slow.torque) if start is None else start.values
-        return bool(np.abs(behind).max() > _LOCATED * noise)
+        return bool(np.abs(behind).max() > _LOCATED * np.std(self.left))
 
     def best(self, start: Behind | None) -> Behind:
         """How far the link is behind, from the splines of one level after the other, or of the last one from a start."""
@@ -295,9 +289,9 @@ class _JointFit:
         The link's place hardly matters to inertia and weight: while the fit descends, the torque changes by the inertia times
         the acceleration, and it is computed anew in each turn. The torque that teeth feel (M,) stays close to ``felt``, if given.
         """
-        if not self.firm:
+        if not self.most:
             return PlayFit(at, self.torque(splines.motion(at)), np.inf)
-        error = max(error, _NONE * float(self.lean(np.array([LARGE]))[0]))
+        error = max(error, _NONE * self.most)
         doubt, found = np.maximum(self.inertia * rate, _EXACT * self.firm), PlayFit(at, np.zeros(0), np.inf)
         for _ in range(turns):
             own = splines.motion(found.coefficients)
@@ -314,78 +308,124 @@ class _JointFit:
     ) -> PlayFit:  # fmt: skip
         """The link's motion after Gauss-Newton steps, with a torque ``held + inertia acceleration`` (M,) and its error (M,).
 
-        With the torque that teeth feel as it is best at each sample, the second derivatives with respect to how far the link is
-        behind and to the spline's torque are a 2 by 2 matrix L L', and the rows are those of L'.
+        The torque that teeth feel is the best one at each sample.
         """
-        twice, follows = splines.repeated(2), felt is not None
-        sharp, firm = 1.0 / error**2, 1.0 / doubt**2
-        along = self.inertia[:, None] * splines.values[2]
+        sharp, sure, teeth = 1.0 / error**2, 1.0 / doubt**2, (self.most, self.firm)
 
-        def tried(coefficients: np.ndarray, felt: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, float]:
-            position, _, acceleration = splines.motion(coefficients)
-            gone, torque = self.encoders - position, held + self.inertia * acceleration
-            found, costs = self._felt(gone, torque, felt, sharp, firm)
-            return gone, found, float(np.sum(costs))
+        def tried(coefficients: np.ndarray, start: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+            gone, torque = _apart(self.encoders, held, self.inertia, splines.first, splines.values, coefficients)
+            felt = _best_tried(gone, torque, self.lean(torque), sharp, sure, *self.tried) if start is None else start
+            share, left = np.tanh(felt / self.firm), np.zeros(0)
+            for _ in range(_NEWTON):
+                new = _next_torque(gone, torque, sharp, sure, *teeth, felt, share)
+                felt, share, left = _better(gone, torque, sharp, sure, self.most, felt, share, new, np.tanh(new / self.firm))
+            return gone, felt, share, float(np.sum(left))
 
-        (gone, found, left), damping = tried(at, felt), 0.0
+        follows = felt is not None
+        (gone, felt, share, left), damping = tried(at, felt), 0.0
         for _ in range(steps):
-            off = gone - self.lean(found)
-            slope, bent = self._curved(found, off, sharp)
-            whole = sharp * slope**2 + firm + bent
-            one = np.sqrt(sharp * (firm + bent) / whole)
-            other, two = -sharp * slope * firm / (whole * one), np.sqrt(firm * bent / (firm + bent))
-            rows = np.concatenate([-one[:, None] * splines.values[0] + other[:, None] * along, two[:, None] * along])
-            pull = sharp * off
-            right = np.concatenate([-pull / one, slope * pull * np.sqrt(bent / (firm * (firm + bent)))])
+            step = splines.newton_step(*_curvature(gone, sharp, sure, self.inertia, *teeth, share))
             for _ in range(_DAMPED):
-                new = at + twice.solved(rows, right, damping)
-                after = tried(new, found if follows else None)
-                if after[2] < left:
+                new = at + step(damping)
+                after = tried(new, felt if follows else None)
+                if after[-1] < left:
                     break
                 damping = max(_MORE_DAMPING * damping, _DAMPING)
             else:
                 break
-            at, before, (gone, found, left) = new, left, after
+            at, before, (gone, felt, share, left) = new, left, after
             damping = damping / _MORE_DAMPING if damping > 1e-3 * _DAMPING else 0.0
             if left > (1.0 - settled) * before:
                 break
-        return PlayFit(at, found, left)
-
-    def _felt(
-        self, gone: np.ndarray, torque: np.ndarray, felt: np.ndarray | None, sharp: float, firm: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Torque that teeth feel at each sample (M,), close to ``felt`` if given, and what is left there (M,)."""
-        at = felt
-        if at is None:
-            one, other = kernel_input(torque), kernel_input(self.lean(torque))
-            at = np.asarray(_best_tried(kernel_input(gone), one, other, sharp, kernel_input(firm), *self.tried))
-        off = gone - self.lean(at)
-        left = sharp * off**2 + firm * (at - torque) ** 2
-        for _ in range(_NEWTON):
-            slope, bent = self._curved(at, off, sharp)
-            new = at + (sharp * slope * off - firm * (at - torque)) / (sharp * slope**2 + firm + bent)
-            beyond = gone - self.lean(new)
-            now = sharp * beyond**2 + firm * (new - torque) ** 2
-            better = now < left
-            at, off, left = np.where(better, new, at), np.where(better, beyond, off), np.where(better, now, left)
-        return at, left
-
-    def _curved(self, torque: np.ndarray, off: np.ndarray, sharp: float) -> tuple[np.ndarray, np.ndarray]:
-        """Slope of the lean (M,), and what its bend adds to the second derivative of the sum, where that is positive (M,)."""
-        step = 1e-3 * self.firm
-        above, below = self.slope(torque + step), self.slope(torque - step)
-        return 0.5 * (above + below), np.maximum(-sharp * off * (above - below) / (2.0 * step), 0.0)
+        return PlayFit(at, felt, left)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _best_tried(gone, torque, leaning, sharp, firm, tried, lean):
-    """Of torques that are tried (k,) and the spline's own, by how far each makes a link lean, the best at each sample (M,)."""
-    out = torque.copy()
+def _apart(encoders, held, inertia, first, values, coefficients):
+    """How far encoders are from a spline (M,), and the torque that its motion takes (M,)."""
+    gone, torque = np.empty(len(first)), np.empty(len(first))
+    for sample in range(len(first)):
+        c, q, a = coefficients[first[sample] : first[sample] + 6], values[0, sample], values[2, sample]
+        gone[sample] = encoders[sample] - ((q[0] * c[0] + q[2] * c[2] + q[4] * c[4]) + (q[1] * c[1] + q[3] * c[3] + q[5] * c[5]))
+        bend = (a[0] * c[0] + a[2] * c[2] + a[4] * c[4]) + (a[1] * c[1] + a[3] * c[3] + a[5] * c[5])
+        torque[sample] = held[sample] + inertia[sample] * bend
+    return gone, torque
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _best_tried(gone, torque, leaning, sharp, sure, tried, lean):
+    """Of torques that are tried (k,) and the spline's own, by how far each makes a link lean, the best at each sample (M,).
+
+    From the spline's own to either side, as far as a torque's distance from that alone does not make it worse.
+    """
+    out, near = torque.copy(), 0
     for sample in range(len(gone)):
-        least = sharp * (gone[sample] - leaning[sample]) ** 2
-        for k in range(len(tried)):
-            off, wrong = gone[sample] - lean[k], tried[k] - torque[sample]
-            left = sharp * off * off + firm[sample] * wrong * wrong
-            if left < least:
-                least, out[sample] = left, tried[k]
+        here, apart, weight, best = torque[sample], gone[sample], sure[sample], -1
+        least = sharp * (apart - leaning[sample]) ** 2
+        while near > 0 and tried[near - 1] >= here:
+            near -= 1
+        while near < len(tried) and tried[near] < here:
+            near += 1
+        for side in range(2):
+            k = near if side else near - 1
+            while 0 <= k < len(tried):
+                wrong, off = tried[k] - here, apart - lean[k]
+                far = weight * wrong * wrong
+                if not far <= least:
+                    break
+                left = sharp * off * off + far
+                if left < least:
+                    least, best = left, k
+                k += 2 * side - 1
+        if best >= 0:
+            out[sample] = tried[best]
     return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _bent(off, sharp, most, firm, share):
+    """Slope of the lean at a share of the most, and what its bend adds to the second derivative of the sum, if positive."""
+    slope = most / firm * (1.0 - share * share)
+    return slope, max(2.0 * sharp * off / firm * share * slope, 0.0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _next_torque(gone, torque, sharp, sure, most, firm, felt, share):
+    """Torque that teeth feel at each sample after a Newton step (M,), from one at which they give this share of the play (M,)."""
+    out = np.empty(len(gone))
+    for k in range(len(gone)):
+        off = gone[k] - most * share[k]
+        slope, more = _bent(off, sharp, most, firm, share[k])
+        out[k] = felt[k] + (sharp * slope * off - sure[k] * (felt[k] - torque[k])) / (sharp * slope**2 + sure[k] + more)
+    return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _better(gone, torque, sharp, sure, most, felt, share, new, moved):
+    """Of two torques that teeth may feel at each sample, with their shares, the better one, its share and what it leaves (M,)."""
+    felt, share, left = felt.copy(), share.copy(), np.empty(len(gone))
+    for k in range(len(gone)):
+        left[k] = sharp * (gone[k] - most * share[k]) ** 2 + sure[k] * (felt[k] - torque[k]) ** 2
+        now = sharp * (gone[k] - most * moved[k]) ** 2 + sure[k] * (new[k] - torque[k]) ** 2
+        if now < left[k]:
+            left[k], felt[k], share[k] = now, new[k], moved[k]
+    return felt, share, left
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _curvature(gone, sharp, sure, inertia, most, firm, share):
+    """Second derivatives of the sum with respect to where the link is and to its acceleration (3, M), and the first ones (2, M).
+
+    Signs are as `Splines.newton_step` takes them. The torque that teeth feel stays the best one.
+    """
+    bent, pull = np.empty((3, len(gone))), np.empty((2, len(gone)))
+    for k in range(len(gone)):
+        off, felt = gone[k] - most * share[k], inertia[k]
+        slope, more = _bent(off, sharp, most, firm, share[k])
+        own = sharp * slope**2
+        part = sure[k] / (own + sure[k] + more)
+        bent[0, k] = sharp * (sure[k] + more) / (own + sure[k] + more)
+        bent[1, k] = sharp * slope * felt * part
+        bent[2, k] = (own + more) * felt**2 * part
+        pull[0, k], pull[1, k] = sharp * off, sharp * off * slope * felt
+    return bent, pull

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import comb, factorial
 
 import numba
@@ -215,10 +216,6 @@ class Splines:
             polynomial = polynomial[:, 1:] * np.arange(1, _ORDER - order)
         return cls(first, values, count)
 
-    def repeated(self, times: int) -> Splines:
-        """The functions at the same times so often over: for more rows than one at each time."""
-        return Splines(np.tile(self.first, times), np.tile(self.values, (1, times, 1)), self.count)
-
     def motion(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position, velocity and acceleration (M, ...) of coefficients (k, ...)."""
         if coefficients.ndim == 1:
@@ -230,7 +227,12 @@ class Splines:
 
     def nearest(self, values: np.ndarray) -> np.ndarray:
         """Coefficients (k, ...) of the least-squares spline through values (M, ...)."""
-        return self.solved(self.values[0], values)
+        columns = values.reshape(len(values), -1).T
+        return np.stack([self._nearest(column) for column in columns], axis=1).reshape(self.count, *values.shape[1:])
+
+    @cached_property
+    def _nearest(self) -> Callable[[np.ndarray], np.ndarray]:
+        return self.factored(self.values[0], np.zeros_like(self.values[0]))
 
     def remainder(self, values: np.ndarray) -> np.ndarray:
         """What the least-squares spline leaves of values (M, ...)."""
@@ -252,18 +254,24 @@ class Splines:
             return lambda _: np.full(self.count, np.nan)
         return lambda values: _solve_factored(factor, _along(self.first, rows, kernel_input(values), self.count))[0]
 
-    def solved(self, rows: np.ndarray, values: np.ndarray, damping: float = 0.0) -> np.ndarray:
-        """Least squares ``rows c = values`` (k, ...), where the rows (M, 6) multiply the six functions at each time.
+    def newton_step(self, bent: np.ndarray, pull: np.ndarray) -> Callable[[float], np.ndarray]:
+        """Change of coefficients (k,) that makes a sum over the times least, by damping: a share that the diagonal grows by.
 
-        The normal matrix's diagonal is enlarged by the damping, a share of it.
+        ``bent`` are the sum's second derivatives with respect to position twice, position and acceleration, acceleration twice
+        (3, M), and ``pull`` the first ones with respect to position and acceleration, with the opposite sign (2, M).
         """
-        columns = kernel_input(values.reshape(len(values), -1))
-        band, right = _normal_equations(self.first, kernel_input(rows), columns, self.count)
-        band[-1] += damping * band[-1] + 1e-14 * band[-1].max()
-        _, solved, failed = _solve_banded(band, right)  # LAPACK itself, as above
-        if failed:
-            raise np.linalg.LinAlgError(f"{failed}th leading minor not positive definite")
-        return solved.reshape(self.count, *values.shape[1:])
+        band, right = _bent_sums(self.first, self.values, bent, pull, self.count)
+        whisper = 1e-14 * band[-1].max()
+
+        def step(damping: float) -> np.ndarray:
+            damped = band.copy()
+            damped[-1] += damping * band[-1] + whisper
+            _, solved, failed = _solve_banded(damped, right)  # LAPACK itself, as above
+            if failed:
+                raise np.linalg.LinAlgError(f"{failed}th leading minor not positive definite")
+            return solved
+
+        return step
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -293,6 +301,21 @@ def _normal_equations(living, rows, values, count):
                 band[5 + i - j, k + j] += rows[sample, i] * rows[sample, j]
             for column in range(values.shape[1]):
                 right[k + i, column] += rows[sample, i] * values[sample, column]
+    return band, right
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _bent_sums(first, values, bent, pull, count):
+    """Upper banded matrix (6, count) and right side (count,) of `Splines.newton_step`."""
+    band, right = np.zeros((6, count)), np.zeros(count)
+    for sample in range(len(first)):
+        k, position, acceleration = first[sample], values[0, sample], values[2, sample]
+        for i in range(6):
+            one = bent[0, sample] * position[i] + bent[1, sample] * acceleration[i]
+            other = bent[1, sample] * position[i] + bent[2, sample] * acceleration[i]
+            for j in range(i, 6):
+                band[5 + i - j, k + j] += one * position[j] + other * acceleration[j]
+            right[k + i] += pull[0, sample] * position[i] + pull[1, sample] * acceleration[i]
     return band, right
 
 

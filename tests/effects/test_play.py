@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
 from scipy.signal import butter, sosfiltfilt
 
 from bayesid.dynamics.channels import stack_channels, torque_channels, wrench_channels
 from bayesid.effects import EffectLibrary, MotionSegment, Term, columns, readings
+from bayesid.effects.play import _best_tried, _curvature
 from bayesid.robot.robot import load_robot
 from bayesid.signals.smoothing import smooth
 from tests.robots import ROBOTS, write
@@ -95,6 +97,48 @@ def test_derivatives_are_what_a_change_of_a_hundredth_makes(panda):
         for share in (0.99, 1.01)
     )
     assert np.linalg.norm(band(above - below) - 0.02 * gap * band(slope)) < 0.3 * np.linalg.norm(band(above - below))
+
+
+def test_the_curvature_is_that_of_the_sum_at_its_best_torques():
+    """Once the torque that teeth feel is the best one, by the position and the acceleration of the link."""
+    rng = np.random.default_rng(5)
+    sharp, sure, inertia, most, firm = 4.0, rng.uniform(0.5, 2.0, 30), rng.uniform(0.5, 2.0, 30), 1.5, 0.7
+    gone, held = rng.normal(size=(2, 30))
+
+    def best(q, a, k):
+        def left(felt):
+            wrong = felt - held[k] - inertia[k] * a
+            return 0.5 * sharp * (gone[k] - q - most * np.tanh(felt / firm)) ** 2 + 0.5 * sure[k] * wrong**2
+
+        rough = min(np.linspace(-5.0, 5.0, 2001), key=left)
+        return minimize_scalar(left, bounds=(rough - 0.01, rough + 0.01), method="bounded", options={"xatol": 1e-10})
+
+    felt = np.array([best(0.0, 0.0, k).x for k in range(30)])
+    bent, pull = _curvature(gone, sharp, sure, inertia, most, firm, np.tanh(felt / firm))
+    more = sharp * (gone - most * np.tanh(felt / firm)) * np.tanh(felt / firm) > 0.0  # else the bend is left out
+    assert 5 < more.sum() < 25
+    h = 1e-3
+    for k in np.flatnonzero(more):
+        f = {(i, j): best(i * h, j * h, k).fun for i in (-1, 0, 1) for j in (-1, 0, 1)}
+        second = [
+            f[1, 0] - 2 * f[0, 0] + f[-1, 0],
+            0.25 * (f[1, 1] - f[1, -1] - f[-1, 1] + f[-1, -1]),
+            f[0, 1] - 2 * f[0, 0] + f[0, -1],
+        ]
+        np.testing.assert_allclose(bent[:, k], np.array(second) / h**2, rtol=1e-3, atol=1e-3)
+        first = [f[-1, 0] - f[1, 0], f[0, -1] - f[0, 1]]
+        np.testing.assert_allclose(pull[:, k], np.array(first) / (2 * h), rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("doubt", [0.01, 0.3, 10.0])
+def test_the_best_of_all_torques_is_found(doubt):
+    rng = np.random.default_rng(4)
+    torque, tried = 0.5 * np.cumsum(rng.normal(size=500)), np.sort(rng.normal(size=40)) * 3.0
+    gone, sharp, firm = np.tanh(torque) + 0.3 * rng.normal(size=500), 1.0 / 0.1**2, np.full(500, 1.0 / doubt**2)
+    each = np.column_stack([torque, np.tile(tried, (500, 1))])
+    left = sharp * (gone[:, None] - np.tanh(each)) ** 2 + firm[:, None] * (each - torque[:, None]) ** 2
+    best = each[np.arange(500), np.argmin(left, axis=1)]
+    np.testing.assert_array_equal(_best_tried(gone, torque, np.tanh(torque), sharp, firm, tried, np.tanh(tried)), best)
 
 
 def stopped(robot, seed):

@@ -133,17 +133,21 @@ def test_nearest_splines_are_those_that_smooth():
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.3])
-def test_rows_are_solved_in_least_squares(damping):
+def test_newton_steps_are_those_of_the_dense_sum(damping):
     rng = np.random.default_rng(1)
     t = np.linspace(0.0, 4.12, 400)
-    splines, values = Splines.over(t, 3.0), rng.normal(size=400)
-    rows = splines.values[0] + rng.normal(size=(400, 1)) * 1e-3 * splines.values[2]
-    dense = np.zeros((400, splines.count))
-    for k in range(6):
-        dense[np.arange(400), splines.first + k] = rows[:, k]
-    normal = dense.T @ dense
-    expected = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), dense.T @ values)
-    np.testing.assert_allclose(splines.solved(rows, values, damping), expected, atol=1e-6 * np.abs(expected).max())
+    splines = Splines.over(t, 3.0)
+    position, acceleration = dense = np.zeros((2, 400, splines.count))
+    for matrix, order in zip(dense, (0, 2), strict=True):
+        for k in range(6):
+            matrix[np.arange(400), splines.first + k] = splines.values[order][:, k]
+    root, pull = rng.normal(size=(400, 2, 2)) * [1.0, 1e-2], rng.normal(size=(2, 400)) * [[1.0], [1e-2]]
+    bent = np.swapaxes(root, 1, 2) @ root
+    both = np.stack([position, acceleration], axis=1)
+    normal = np.einsum("mak,mab,mbl->kl", both, bent, both)
+    expected = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), position.T @ pull[0] + acceleration.T @ pull[1])
+    step = splines.newton_step(np.stack([bent[:, 0, 0], bent[:, 0, 1], bent[:, 1, 1]]), pull)
+    np.testing.assert_allclose(step(damping), expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_rows_are_solved_beside_rows_that_are_to_be_small():
