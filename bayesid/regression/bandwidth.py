@@ -26,8 +26,8 @@ from scipy.fft import dct
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import solve
 
-#: Ratio of neighbouring bandwidths that are tried, and the lowest of them [Hz]: below it rows hold little but the motion, that of
-#: validation motions included, which these errors do not see.
+#: Largest ratio of neighbouring bandwidths that are tried, and the lowest of them [Hz]: below it rows hold little but the motion,
+#: that of validation motions included, which these errors do not see.
 RATIO, LOWEST = 2.0**0.5, 5.0
 #: Relative difference of two errors (of power; half of it in amplitude) that is not worth a lower bandwidth.
 WORTH = 0.05
@@ -48,9 +48,9 @@ class BandwidthChoice:
 
 
 def candidates(highest: float) -> np.ndarray:
-    """Bandwidths to try, falling [Hz]."""
-    count = int(max(np.log(highest / LOWEST), 0.0) / np.log(RATIO) + 1e-9) + 1
-    return highest / RATIO ** np.arange(count)
+    """Bandwidths to try, falling in equal ratios to the lowest [Hz]."""
+    steps = int(np.ceil(max(np.log(highest / LOWEST), 0.0) / np.log(RATIO) - 1e-9))
+    return np.geomspace(highest, min(highest, LOWEST), steps + 1)
 
 
 def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float, at_end: bool = False) -> BandwidthChoice | None:

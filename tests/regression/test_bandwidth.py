@@ -11,7 +11,7 @@ from bayesid.recordings.experiment import Sensor
 from bayesid.regression.bandwidth import LOWEST, candidates, choose_bandwidth
 from bayesid.regression.blocks import Block
 from bayesid.regression.options import FitOptions
-from bayesid.regression.problem import chosen_again, prepare, relinearised
+from bayesid.regression.problem import chosen_again, prepare, relinearised, row_step
 from bayesid.simulation.simulation import Recorder, simulate
 from bayesid.simulation.trajectories import fourier_trajectory
 from tests.simulated import experiment, puma2
@@ -20,9 +20,10 @@ from tests.simulated import experiment, puma2
 def rows_at(bandwidth, spoilt_above=np.inf, blurred_below=0.0):
     """Rows of three slow columns at the rate of a bandwidth, whose regressor is wrong outside a range of bandwidths."""
     rng = np.random.default_rng(5)
-    times = np.arange(0.0, 40.0, 1.0 / (2.5 * bandwidth))
+    step = row_step(bandwidth)
+    times = np.arange(0.0, 40.0, step)
     matrix = np.stack([np.sin(2 * np.pi * f * times + f) for f in (0.3, 0.7, 1.1)], axis=1)[:, None, :]
-    size = np.sqrt(100.0 / (2.5 * bandwidth))  # a row has the noise of one sample: a signal is larger in fewer rows
+    size = np.sqrt(100.0 * step)  # a row has the noise of one sample: a signal is larger in fewer rows
     target = size * matrix @ np.array([1.0, 2.0, -1.0]) + 0.05 * rng.normal(size=(len(times), 1))
     wrong = 0.3 * (bandwidth > spoilt_above) + 0.3 * (bandwidth < blurred_below)
     matrix = size * (matrix + wrong * rng.normal(size=matrix.shape))
@@ -32,7 +33,10 @@ def rows_at(bandwidth, spoilt_above=np.inf, blurred_below=0.0):
 def test_candidates_fall_to_the_lowest():
     assert candidates(4.0) == pytest.approx([4.0])
     np.testing.assert_allclose(candidates(20.0), [20.0, 14.1421, 10.0, 7.0711, 5.0], rtol=1e-4)
-    assert candidates(20.0)[-1] >= LOWEST - 1e-9
+    for highest in np.geomspace(LOWEST, 40.0, 23):  # the lowest is tried whatever the highest is
+        tried = candidates(highest)
+        assert tried[0] == pytest.approx(highest) and tried[-1] == pytest.approx(LOWEST)
+        assert np.all(tried[:-1] / tried[1:] <= 2.0**0.5 + 1e-9)
 
 
 def test_nothing_changes_where_lower_bandwidths_predict_no_better():
@@ -58,7 +62,7 @@ def test_what_predicts_best_is_taken_where_the_positions_chose_the_end_of_their_
 
 
 def test_nothing_is_chosen_of_a_slow_motion_or_a_short_one():
-    assert choose_bandwidth(rows_at, 6.0) is None
+    assert choose_bandwidth(rows_at, LOWEST) is None
     assert choose_bandwidth(lambda b: tuple(Block(x.rows[:20], x.times[:20], 0, True) for x in rows_at(b)), 20.0) is None
 
 
