@@ -70,12 +70,6 @@ def remarks(
             )
             + ": not named."
         )
-    stated = dict.fromkeys(t.effect.name for t in search.base.terms if t.effect.wanders)
-    if stated and verdict in ("unknown", "named_in_part"):
-        out.append(
-            f"Joints may have friction of another kind than the model's {', '.join(stated)}. Leave that out of the model and "
-            "diagnose again: the search then finds which kind each joint has."
-        )
     if verdict == "named_in_part" and part is not None and part.groups:
         each = "; ".join(f"{', '.join(g.channels)}: {100 * g.closed:.3g} % by {', '.join(g.effects)}" for g in part.groups)
         out.append(f"Much of the gap stays, but most of it is closed in the channels that these effects act in. {each}.")

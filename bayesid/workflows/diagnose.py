@@ -12,6 +12,8 @@ from math import inf
 from pathlib import Path
 from typing import TypedDict, Unpack, overload
 
+import numpy as np
+
 from bayesid.arguments import argument, names
 from bayesid.design.tell.choose import tell_effects, tell_search
 from bayesid.design.tell.rivals import parse_effects
@@ -88,7 +90,7 @@ def diagnose(
     The phases: noise of sensors and encoders; forward selection of effects; refit under the noise as the new model passes it on;
     pruning; rivals; held-out validation; verdict; where that is unknown, effects that held-out recordings confirm although
     something stays; remarks; where it is ambiguous, the motion that would settle it, and where something stays that no effect
-    explains, a draft of that.
+    explains, a draft of that. Where something stays beside friction that the model states, all of it once more without that.
 
     Parameters
     ----------
@@ -145,9 +147,10 @@ def diagnose(
             said = of_recordings(experiment, (), [x.change.name for x in found.changes])
             said = (*said, *of_reference(before, said))
             return Changes(found, time.perf_counter() - since, said)
-        diagnosis = missing(as_experiment(experiment), chosen, tell, seed, settings, progress)
+        stated = missing(as_experiment(experiment), chosen, tell, seed, settings, progress)
+        diagnosis = _without_stated_friction(stated, chosen, tell, seed, progress)
         progress("signs, frames and units")
-        recorded, following = diagnosis.data.experiment, diagnosis.next_experiment
+        recorded, following = stated.data.experiment, diagnosis.next_experiment
         if wrong := mistakes(recorded, [f.term.effect.name for f in diagnosis.found]):  # no new recording mends that
             following = "Undo the mistake that the notes name, and diagnose again."
         said = recorded.with_findings([*wrong, *diagnosis.remarks], validated=False)
@@ -223,6 +226,43 @@ def missing(
     return diagnosis
 
 
+def _without_stated_friction(
+    stated: Diagnosis, chosen: FitOptions, tell: str | Sequence[str] | None, seed: int, progress: Progress
+) -> Diagnosis:
+    """The diagnosis with the user's friction left out, where something stays beside it and that predicts unseen motions better.
+
+    Friction that a model states hides of which kind a joint's is: beside Coulomb friction no bristle is sought, and what little
+    other friction closes of the gap that stays is too little to be named.
+    """
+    experiment, data = stated.data.experiment, stated.data
+    friction = [t for t in stated.search.base.terms if t.effect.wanders]
+    names = {t.effect.name for t in friction} - {t.effect.name for t in friction if data.fixed(t)}
+    if not names or stated.verdict not in ("unknown", "named_in_part"):
+        return stated
+    shown = ", ".join(sorted(names))
+    if all(e.fitted for e in stated.errors):
+        told = (
+            f"Joints may have friction of another kind than the model's {shown}. Leave that out of the model and diagnose again."
+        )
+        return replace(stated, remarks=(*stated.remarks, told))
+    progress("friction of the model left out")
+    rest = replace(
+        experiment, effects=tuple(spec for spec in experiment.effects if spec.split("@")[0] not in names),
+        effect_values={spec: values for spec, values in experiment.effect_values.items() if spec.split("@")[0] not in names},
+    )  # fmt: skip
+    found = missing(rest, replace(chosen, effects=None), tell, seed, data.settings, progress)
+    left = [float(np.mean([e.last.relative_error for e in d.errors if not e.fitted])) for d in (stated, found)]
+    if found.verdict == "unknown" or not left[1] < left[0]:
+        return stated
+    told = (
+        f"Beside the model's {shown} something stays that no effect explains, so friction was left out and sought anew: "
+        f"the error on motions that were not fitted is {100 * left[1]:.3g} % with what is named and {100 * left[0]:.3g} % beside "
+        "the model's friction. Shares of the gap are those of the model without friction."
+    )
+    found = replace(found, remarks=(told, *found.remarks))
+    return _with_errors(found, None, chosen.motions, progress, experiment)
+
+
 @dataclass(frozen=True, eq=False)
 class _Decided:
     """What a search found, and the verdict on it."""
@@ -287,10 +327,15 @@ def _concluded(found: _Decided, tried: InPart | None, imitate: bool, seed: int) 
     )
 
 
-def _with_errors(result: Diagnosis, push: Push | None, motions: Sequence[str] | None, progress: Progress) -> Diagnosis:
-    """The diagnosis with what `bayesid.identify` finds without and with the effects named, of recordings less a push."""
+def _with_errors(
+    result: Diagnosis, push: Push | None, motions: Sequence[str] | None, progress: Progress, stated: Experiment | None = None
+) -> Diagnosis:
+    """The diagnosis with what `bayesid.identify` finds without and with the effects named, of recordings less a push.
+
+    Without: with the model diagnosed, or with the one ``stated``.
+    """
     progress("errors without and with what is named" if result.found else "errors")
-    experiment, (effects, values) = result.data.experiment, result.model
+    experiment, (effects, values) = stated or result.data.experiment, result.model
     if push is not None:
         experiment = less_push(experiment, push, result.search.base.terms)
     after = replace(experiment, effects=effects, effect_values=values) if result.found else None

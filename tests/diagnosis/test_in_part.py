@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from bayesid import diagnose
+from bayesid import diagnose, identify
 from bayesid.diagnosis import in_part
 from bayesid.diagnosis.candidates import make_library
 from bayesid.diagnosis.choice import Choice
@@ -24,7 +24,7 @@ from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import held_out_text, remarks
 from bayesid.diagnosis.search import Search, search
 from bayesid.diagnosis.settings import DEFAULT
-from bayesid.diagnosis.verdict import Verdict, named_in_part
+from bayesid.diagnosis.verdict import named_in_part
 from bayesid.effects import EffectLibrary, MotionSegment, Term
 from bayesid.effects.drives import Spring
 from bayesid.effects.friction import CoulombFriction, StribeckFriction
@@ -47,8 +47,8 @@ WOBBLE = {"wobble": {"tau2": "c * sin(5 * q2 + 3 * q1)", "parameters": {"c": {"u
 
 
 @pytest.fixture(scope="module")
-def diagnosis(tmp_path_factory):
-    """Friction that the model lacks, beside something that the library lacks."""
+def recorded(tmp_path_factory):
+    """A recording with friction, beside so much (N m) of something that the library lacks; its model has neither."""
     path = tmp_path_factory.mktemp("robot") / "robot.urdf"
     path.write_text(puma_two_joint_urdf(), encoding="utf-8")
     robot = load_robot(path, ["joint1", "joint2"], PAPER_LOCKED)
@@ -58,8 +58,18 @@ def diagnosis(tmp_path_factory):
         fourier_trajectory(robot, seed=1, duration=10.0, rate=100.0),
         fourier_trajectory(robot, "validation", "validation", seed=2, duration=8.0, rate=100.0),
     ]
-    recorded = simulate(arm, motions, effects={**HIDDEN, "wobble": {"c": 1.5}}, perturb=0.05, seed=3)
-    return diagnose(replace(recorded, library=EffectLibrary()))
+
+    def made(wobble: float) -> Experiment:
+        made = simulate(arm, motions, effects={**HIDDEN, "wobble": {"c": wobble}}, perturb=0.05, seed=3)
+        return replace(made, library=EffectLibrary())
+
+    return made
+
+
+@pytest.fixture(scope="module")
+def diagnosis(recorded):
+    """Friction that the model lacks, beside something that the library lacks."""
+    return diagnose(recorded(1.5))
 
 
 def test_friction_is_named_in_part_and_the_rest_stays(diagnosis):
@@ -77,6 +87,31 @@ def test_friction_is_named_in_part_and_the_rest_stays(diagnosis):
     before, after, floor, closed = (said["gap"][k] for k in ("before", "after", "floor", "closed"))
     assert floor <= after < 0.2 * before
     assert closed == pytest.approx((before**2 - after**2) / (before**2 - floor**2)) and said["gap"]["closed_low"] <= closed <= 1.0
+
+
+def test_stated_friction_is_left_out_where_something_stays_beside_it(recorded):
+    """What is named without it, if that predicts unseen motions better; errors are those of both models by `identify`."""
+    stated = replace(recorded(2.2), effects=("coulomb_friction",))
+    found = diagnose(stated, progress=None)
+    assert found.verdict == "named_in_part" and {f.term.effect.spec for f in found.found} == set(HIDDEN)
+    effects, values = found.model
+    assert set(effects) == set(HIDDEN) and "Beside the model's coulomb_friction something stays" in found.remarks[0]
+    (unseen,) = [e for e in found.errors if not e.fitted]
+    for model, told in ((stated, unseen.before), (replace(stated, effects=effects, effect_values=values), unseen.after)):
+        (own,) = identify(model, progress=None).validation
+        assert told.relative_error == pytest.approx(own.relative_error, rel=1e-6)
+    assert unseen.after.relative_error < unseen.before.relative_error
+
+
+def test_stated_friction_stays_where_its_values_are_kept_or_no_motion_is_unseen(recorded):
+    """A user who knows the values is not asked again; and nothing is exchanged without a motion that shows which is better."""
+    stated = replace(recorded(2.2), effects=("coulomb_friction",))
+    kept = diagnose(replace(stated, effect_values={"coulomb_friction": {"level": 5.5, "fixed": True}}), progress=None)
+    assert {t.effect.name for t in kept.search.base.terms} == {"coulomb_friction"}
+    alone = diagnose(replace(stated, motions=stated.identification), progress=None)
+    assert {t.effect.name for t in alone.search.base.terms} == {"coulomb_friction"} and alone.verdict == "unknown"
+    assert any("than the model's coulomb_friction. Leave that out" in r for r in alone.remarks)
+    assert not any("coulomb_friction. Leave that out" in r for r in kept.remarks)
 
 
 def test_the_gap_is_in_units_of_a_noise_that_is_alike_at_all_frequencies(diagnosis):
@@ -242,18 +277,6 @@ def test_what_another_joint_does_says_nothing_against_an_effect(beside_much):
     assert group.channels == ("tau2",)
     assert group.closed > 0.9
     assert "tau2: " in str(beside_much) and "most of it is closed in the channels" in str(beside_much)
-
-
-def test_where_something_stays_friction_that_the_model_states_may_be_of_another_kind(beside_much):
-    """Stated friction is never exchanged; left out, the search chooses the kind."""
-    s = beside_much.search
-    stated = replace(s, base=s.best, found=())
-
-    def told(search: Search, verdict: Verdict) -> bool:
-        return any("another kind than the model's viscous_friction." in r for r in remarks(search, None, verdict, "residual", ()))
-
-    assert told(stated, "unknown") and told(stated, "named_in_part")
-    assert not told(stated, "nothing_missing") and not told(s, "unknown")
 
 
 def test_names_that_make_validation_worse_are_told_not_given(beside_much, searches, monkeypatch):
