@@ -21,6 +21,7 @@ from scipy.fft import idct
 
 from bayesid.diagnosis.data import DiagnosisData, model_rows, residual_rows, term_rows
 from bayesid.diagnosis.fit import Fit
+from bayesid.diagnosis.gap import lower_end
 from bayesid.diagnosis.grams import Grams, squared
 from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.diagnosis.validation import residual_spectra, without_offset
@@ -109,6 +110,22 @@ def held_out_sums(
     )  # fmt: skip
     groups = [g for g, n in enumerate(order) if n[0] in fitted]
     return replace(sums, correlation=_correlation(sums, groups, len(best.terms)))
+
+
+def predicts_better(other: Fit, one: Fit, users: Fit, seed: int) -> bool:
+    """Whether recordings held out in turn are for certain predicted better by one model than by another.
+
+    Of each the links and amplitudes are fitted to the rest; every channel counts in units of what the user's model leaves of it.
+    Motions that were never fitted have to be predicted better, too. The seed is that of the bootstrap.
+    """
+    projector = users.projector
+    data = scaled(projector.data, left_by(projector.data, users))
+    alike = np.ones(len(data.channels.names))
+    sums = [held_out_sums(data, projector.root, model, [], alike) for model in (one, other)]
+    worse, better = (x.squares(range(len(model.terms))) for x, model in zip(sums, (one, other), strict=True))
+    gained, unseen = worse - better, sums[0].unseen
+    low = lower_end(gained[:, None], lambda drawn: drawn[:, 0], data.settings, seed)
+    return bool(low > 0.0 and (not unseen.any() or gained[unseen].sum() > 0.0))
 
 
 def _columns(

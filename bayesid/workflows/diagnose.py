@@ -12,8 +12,6 @@ from math import inf
 from pathlib import Path
 from typing import TypedDict, Unpack, overload
 
-import numpy as np
-
 from bayesid.arguments import argument, names
 from bayesid.design.tell.choose import tell_effects, tell_search
 from bayesid.design.tell.rivals import parse_effects
@@ -21,6 +19,7 @@ from bayesid.diagnosis.changes.findings import compare_with_reference
 from bayesid.diagnosis.data import WHITE, DiagnosisData
 from bayesid.diagnosis.description.describe import describe, stands_alone
 from bayesid.diagnosis.fit import Fit, fit
+from bayesid.diagnosis.held_out import predicts_better
 from bayesid.diagnosis.in_part import InPart, proven_effects
 from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.prepare import known_terms, prepare_data
@@ -229,35 +228,28 @@ def missing(
 def _without_stated_friction(
     stated: Diagnosis, chosen: FitOptions, tell: str | Sequence[str] | None, seed: int, progress: Progress
 ) -> Diagnosis:
-    """The diagnosis with the user's friction left out, where something stays beside it and that predicts unseen motions better.
+    """The diagnosis with the user's friction left out, where something stays beside it and that predicts recordings better.
 
     Friction that a model states hides of which kind a joint's is: beside Coulomb friction no bristle is sought, and what little
     other friction closes of the gap that stays is too little to be named.
     """
-    experiment, data = stated.data.experiment, stated.data
-    friction = [t for t in stated.search.base.terms if t.effect.wanders]
-    names = {t.effect.name for t in friction} - {t.effect.name for t in friction if data.fixed(t)}
+    experiment, s = stated.data.experiment, stated.search
+    friction = [t for t in s.base.terms if t.effect.wanders]
+    names = {t.effect.name for t in friction} - {t.effect.name for t in friction if stated.data.fixed(t)}
     if not names or stated.verdict not in ("unknown", "named_in_part"):
         return stated
-    shown = ", ".join(sorted(names))
-    if all(e.fitted for e in stated.errors):
-        told = (
-            f"Joints may have friction of another kind than the model's {shown}. Leave that out of the model and diagnose again."
-        )
-        return replace(stated, remarks=(*stated.remarks, told))
     progress("friction of the model left out")
     rest = replace(
         experiment, effects=tuple(spec for spec in experiment.effects if spec.split("@")[0] not in names),
         effect_values={spec: values for spec, values in experiment.effect_values.items() if spec.split("@")[0] not in names},
     )  # fmt: skip
-    found = missing(rest, replace(chosen, effects=None), tell, seed, data.settings, progress)
-    left = [float(np.mean([e.last.relative_error for e in d.errors if not e.fitted])) for d in (stated, found)]
-    if found.verdict == "unknown" or not left[1] < left[0]:
+    found = missing(rest, replace(chosen, effects=None), tell, seed, stated.data.settings, progress)
+    handed_on = s.best if stated.found else s.base
+    if found.verdict == "unknown" or not predicts_better(found.search.best, handed_on, s.base, seed):
         return stated
     told = (
-        f"Beside the model's {shown} something stays that no effect explains, so friction was left out and sought anew: "
-        f"the error on motions that were not fitted is {100 * left[1]:.3g} % with what is named and {100 * left[0]:.3g} % beside "
-        "the model's friction. Shares of the gap are those of the model without friction."
+        f"Beside the model's {', '.join(sorted(names))} something stays that no effect explains, so this was left out and sought "
+        "anew: what is named now predicts recordings held out in turn better. Shares of the gap are those of the model without it."
     )
     found = replace(found, remarks=(told, *found.remarks))
     return _with_errors(found, None, chosen.motions, progress, experiment)

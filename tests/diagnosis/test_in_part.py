@@ -17,7 +17,7 @@ from bayesid.diagnosis.choice import Choice
 from bayesid.diagnosis.data import FAR, model_rows, residual_rows
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.forward import unrelated
-from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scaled
+from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, predicts_better, scaled
 from bayesid.diagnosis.in_part import ChannelGroup, InPart, _exact, _together
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
@@ -89,29 +89,37 @@ def test_friction_is_named_in_part_and_the_rest_stays(diagnosis):
     assert closed == pytest.approx((before**2 - after**2) / (before**2 - floor**2)) and said["gap"]["closed_low"] <= closed <= 1.0
 
 
-def test_stated_friction_is_left_out_where_something_stays_beside_it(recorded):
-    """What is named without it, if that predicts unseen motions better; errors are those of both models by `identify`."""
+@pytest.mark.parametrize("alone", [False, True], ids=["validation", "alone"])
+def test_stated_friction_is_left_out_where_something_stays_beside_it(recorded, alone):
+    """What is named without it, if that predicts held-out recordings better; errors are those of both models by `identify`."""
     stated = replace(recorded(2.2), effects=("coulomb_friction",))
+    stated = replace(stated, motions=stated.identification) if alone else stated
     found = diagnose(stated, progress=None)
     assert found.verdict == "named_in_part" and {f.term.effect.spec for f in found.found} == set(HIDDEN)
     effects, values = found.model
     assert set(effects) == set(HIDDEN) and "Beside the model's coulomb_friction something stays" in found.remarks[0]
-    (unseen,) = [e for e in found.errors if not e.fitted]
-    for model, told in ((stated, unseen.before), (replace(stated, effects=effects, effect_values=values), unseen.after)):
-        (own,) = identify(model, progress=None).validation
-        assert told.relative_error == pytest.approx(own.relative_error, rel=1e-6)
-    assert unseen.after.relative_error < unseen.before.relative_error
+    for model, side in ((stated, "before"), (replace(stated, effects=effects, effect_values=values), "after")):
+        own = identify(model, progress=None)
+        for told in found.errors:
+            (same,) = own.fitted if told.fitted else own.validation
+            assert getattr(told, side).relative_error == pytest.approx(same.relative_error, rel=1e-6)
+    assert found.errors[0].after.relative_error < found.errors[0].before.relative_error
 
 
-def test_stated_friction_stays_where_its_values_are_kept_or_no_motion_is_unseen(recorded):
-    """A user who knows the values is not asked again; and nothing is exchanged without a motion that shows which is better."""
-    stated = replace(recorded(2.2), effects=("coulomb_friction",))
-    kept = diagnose(replace(stated, effect_values={"coulomb_friction": {"level": 5.5, "fixed": True}}), progress=None)
-    assert {t.effect.name for t in kept.search.base.terms} == {"coulomb_friction"}
-    alone = diagnose(replace(stated, motions=stated.identification), progress=None)
-    assert {t.effect.name for t in alone.search.base.terms} == {"coulomb_friction"} and alone.verdict == "unknown"
-    assert any("than the model's coulomb_friction. Leave that out" in r for r in alone.remarks)
-    assert not any("coulomb_friction. Leave that out" in r for r in kept.remarks)
+def test_stated_friction_stays_where_its_values_are_kept(recorded):
+    """A user who knows the values is not asked again."""
+    stated = replace(
+        recorded(2.2), effects=("coulomb_friction",), effect_values={"coulomb_friction": {"level": 5.5, "fixed": True}}
+    )
+    kept = diagnose(stated, progress=None)
+    assert {t.effect.name for t in kept.search.base.terms} == {"coulomb_friction"} and kept.verdict != "nothing_missing"
+
+
+def test_which_model_predicts_better_is_a_question_to_recordings_left_out(diagnosis):
+    """The model with the friction that is there against that without, and the other way about; and neither against itself."""
+    s = diagnosis.search
+    assert predicts_better(s.best, s.base, s.base, 0) and not predicts_better(s.base, s.best, s.base, 0)
+    assert not predicts_better(s.best, s.best, s.base, 0)
 
 
 def test_the_gap_is_in_units_of_a_noise_that_is_alike_at_all_frequencies(diagnosis):
