@@ -248,8 +248,9 @@ def _without_stated_friction(
     if found.verdict == "unknown" or not predicts_better(found.search.best, handed_on, s.base, seed):
         return stated
     told = (
-        f"Beside the model's {', '.join(sorted(names))} something stays that no effect explains, so this was left out and sought "
-        "anew: what is named now predicts recordings held out in turn better. Shares of the gap are those of the model without it."
+        f"Beside the model's {', '.join(sorted(names))} something stays that no effect explains, so this was left out and "
+        "sought anew: what is named now predicts recordings held out in turn better. Shares of the gap are those of the model "
+        "without it."
     )
     found = replace(found, remarks=(told, *found.remarks))
     return _with_errors(found, None, chosen.motions, progress, experiment)
