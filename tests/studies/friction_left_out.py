@@ -61,8 +61,8 @@ The diagnosed model predicts better than, or within 5 % of, the best of the four
 
 ## And with friction stated?
 
-A model that states viscous friction, Coulomb friction and an offset at all joints, and what `bayesid diagnose` finds beside them, or
-in their place where something stays beside them and recordings held out in turn are predicted better so.
+A model that states viscous friction, Coulomb friction and an offset at all joints, and what `bayesid diagnose` finds beside them,
+or in their place where something stays beside them and recordings held out in turn are predicted better so.
 
 {{ beside }}
 {% for digit, names in again %}
