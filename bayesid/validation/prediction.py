@@ -413,7 +413,7 @@ def judged(prediction: Prediction) -> Judgement:
     worst = int(np.argmax(prediction.nrmse))
     share = float(prediction.nrmse[worst])
     wrong = f"; {prediction.channel_names[worst]} is wrong by {100 * share:.0f} % of its signal" if share > _NAMED else ""
-    largest = TOLERATED * (prediction.largest_rms or prediction.expected_rms)
+    largest = _largest(prediction)
     if prediction.beyond and (prediction.noise_source == RESIDUALS or white > largest):
         return Judgement("fair", BEYOND_POSES)
     if prediction.noise_source == RESIDUALS:
@@ -423,23 +423,28 @@ def judged(prediction: Prediction) -> Judgement:
             mood, f"the sensor's own noise is not known here, so nothing says how much of that is missing in the model{wrong}"
         )
     if white <= largest:
+        noise = not left_by_uncertain_parameters(prediction)
+        left = "the sensor's noise" if noise else "what noise and uncertain parameters leave"
         if worse_than_nothing(error):
-            text = "no prediction at all would be closer, though sensors' noise and what encoders' errors make of it are as large"
-            return Judgement("fair", text)
-        if error > _NAMED:
+            size = "sensors' noise and what encoders' errors make of it" if noise else "errors that uncertain parameters make"
+            return Judgement("fair", f"no prediction at all would be closer, though {size} are as large")
+        if error > _NAMED and noise:
             return Judgement("fair", "that is the sensor's noise: the readings of this motion hold little else, and prove little")
+        if error > _NAMED:
+            text = f"that is {left}, {white:.3g} times the noise: the fitted motions say little of what this one needs"
+            return Judgement("fair", text)
         if worse_than_nothing(share):
             name = prediction.channel_names[worst]
             text = (
-                f"what is left is the sensor's noise ({white:.3g} times) in all channels together, but {name} is predicted "
+                f"what is left is {left} ({white:.3g} times the noise) in all channels together, but {name} is predicted "
                 f"worse than by nothing at all: the error is {100 * share:.0f} % of its signal"
             )
             return Judgement("fair", text)
+        if not noise:
+            text = f"what is left, {white:.3g} times the sensor's noise, is {left}"
+            return Judgement("good" if not wrong else "fair", f"{text}{wrong}")
         where = f", though {prediction.channel_names[worst]} holds little but noise" if share > _NAMED else ""
-        if white > TOLERATED:
-            text = f"what is left, {white:.3g} times the sensor's noise, is what noise and uncertain parameters leave{where}"
-            return Judgement("good", text)
-        return Judgement("good", f"what is left is the sensor's noise ({white:.3g} times){where}")
+        return Judgement("good", f"what is left is {left} ({white:.3g} times){where}")
     times, missing = f"{white:.3g} times the sensor's noise", "something is missing in the model"
     if prediction.biased:
         missing = f"the estimator is biased, or {missing}"
@@ -449,6 +454,16 @@ def judged(prediction: Prediction) -> Judgement:
     if error <= POOR:
         return Judgement("fair" if not wrong else "bad", f"what is left is {times}: {missing}{wrong}")
     return Judgement("bad", f"what is left is {times}: the model predicts this motion poorly{wrong}")
+
+
+def _largest(prediction: Prediction) -> float:
+    """Residual in units of the noise up to which a complete model may leave it."""
+    return TOLERATED * (prediction.largest_rms or prediction.expected_rms)
+
+
+def left_by_uncertain_parameters(prediction: Prediction) -> bool:
+    """Whether more is left than noise, and no more than parameters that the fitted motions leave uncertain may make."""
+    return prediction.noise_source != RESIDUALS and TOLERATED < prediction.whitened_rms <= _largest(prediction)
 
 
 def worse_than_nothing(share: float) -> bool:

@@ -19,7 +19,7 @@ from bayesid.regression.problem import Problem
 from bayesid.regression.readings import has_readings
 from bayesid.section import powers
 from bayesid.validation.agreement import Agreement
-from bayesid.validation.prediction import Prediction, judged, of_signal, useless
+from bayesid.validation.prediction import Prediction, judged, left_by_uncertain_parameters, of_signal, useless
 
 _CERTAIN = 3.0  # standard deviations below zero
 
@@ -143,7 +143,11 @@ def unpredicted(predictions: Sequence[Prediction]) -> list[str]:
             f"{len(off)} of {len(predictions)} motions that were not fitted are predicted with errors of {100 * best:.3g} to "
             f"{100 * worst.relative_error:.3g} % of {of_signal(worst)}. '{worst.motion}' has the largest: "
         )
-    remedy = "Fit a motion for them." if worst.beyond else f"`{call('diagnose')}` looks for what is missing."
+    remedy = f"`{call('diagnose')}` looks for what is missing."
+    if worst.beyond:
+        remedy = "Fit a motion for them."
+    elif left_by_uncertain_parameters(worst):
+        remedy = "Fit a motion like it, too."
     return [f"{first}{judged(worst).text}. {remedy}"]
 
 

@@ -128,6 +128,25 @@ def test_noise_alone_proves_little():
     assert poor.mood == "bad" and "fy is wrong by 89 %" in poor.text
 
 
+def test_errors_of_uncertain_parameters_are_not_called_the_sensors_noise():
+    """A hundred times the noise, where the covariance of the parameters explains a thousand: joints move that hardly did."""
+    for error, others, said in (
+        (0.527, 0.3, "the fitted motions say little of what this one needs"),
+        (1.4, 0.3, "errors that uncertain parameters make are as large"),
+        (0.05, 0.6, "tau2 is wrong by 60 % of its signal"),
+        (0.05, 1.3, "tau2 is predicted worse than by nothing at all"),
+    ):
+        one = _prediction(np.array([error, others]), 100.0, np.array([10.0, 0.1]), expected_rms=900.0, largest_rms=1900.0)
+        told = judged(one)
+        assert told.mood == "fair" and said in told.text
+        (warning,) = unpredicted([one])
+        assert warning.endswith("Fit a motion like it, too.") and "diagnose" not in warning
+        for noise in ("is the sensor's noise", "hold little else", "encoders' errors", "holds little but noise"):
+            assert noise not in told.text
+    held = judged(_prediction(np.array([0.02, 0.02]), 100.0, np.array([10.0, 0.1]), expected_rms=900.0, largest_rms=1900.0))
+    assert held.mood == "good" and "what noise and uncertain parameters leave" in held.text
+
+
 def _prediction(error: np.ndarray, white: float, signal: np.ndarray, **more) -> Prediction:
     """Of constant size by channel, in units of the signal's."""
     names, one = tuple(f"tau{k + 1}" for k in range(len(error))), np.ones((1, len(error)))
