@@ -165,7 +165,7 @@ def _white_columns(
     if needs_no_load(effect) and effect.joint in channels:
         # What another joint's encoder or drive does is nothing to this joint's torque.
         reads, here = (EncoderEffect, JointDelayEffect, JointGainEffect), (None, effect.joint)
-        beside = tuple(t for t in terms if isinstance(t.effect, reads) and t.effect.joint in here)
+        beside = tuple(t for t in terms if t.effect.joint in here and isinstance(t.effect, reads))
         live = np.arange(len(data.channels)) == channels[effect.joint]
 
         def made() -> np.ndarray:

@@ -13,9 +13,9 @@ rule for every verdict.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -157,13 +157,14 @@ def _stepped(now: Iterate) -> Iterate:
     limits = _at_limits(terms, free)
     # What is left if the readings are linear: a fit that comes down to just that is done, and its values are a
     # hundredth of their standard deviation from the best ones.
-    best = _change(gram, pull, 0.0, alive, limits)
+    changed = _changes(gram, pull, alive, limits)
+    best = changed(0.0)
     least, close = float(left @ left - best @ (2.0 * pull - gram @ best)), 0.01 * settled
     if now.chi2 - least < close:
         return replace(now, settled=True, derivatives=derivatives, exact=True) if exact else anew
     for _ in range(_TRIALS if exact else 1):
         # [Levenberg1944]_, [Marquardt1963]_: where a direction says nothing yet (a point without a force), hold it back.
-        trial = _moved(terms, free, _change(gram, pull, damping, alive, limits) / scale)
+        trial = _moved(terms, free, changed(damping) / scale)
         taken = np.array([trial[i].values[k] - terms[i].values[k] for i, k in free])
         moved = u
         if projector.size:
@@ -221,25 +222,35 @@ def _at_limits(terms: tuple[Term, ...], free: Sequence[tuple[int, int]]) -> tupl
     return values <= lower, values >= upper
 
 
-def _change(
-    gram: np.ndarray, pull: np.ndarray, damping: float, open_: np.ndarray, limits: tuple[np.ndarray, np.ndarray]
-) -> np.ndarray:
-    """The damped change of the open ones among scaled parameters (k,).
+def _changes(
+    gram: np.ndarray, pull: np.ndarray, alive: np.ndarray, limits: tuple[np.ndarray, np.ndarray]
+) -> Callable[[float], np.ndarray]:
+    """The change of those alive among scaled parameters (k,), by the damping.
 
     What is at a limit and would pass it stays, and the others are found without it: else they would make up for a change that is
     not made. What only comes to a limit is cut off there later: held from here on, more fits end in a poor place.
     """
     lower, upper = limits
-    while True:
-        out = np.zeros(len(pull))
-        if not open_.any():
-            return out
-        values, vectors = _eigen(gram[np.ix_(open_, open_)])
-        out[open_] = (vectors / (values + damping)) @ (vectors.T @ pull[open_])
-        stays = (lower & (out < 0.0)) | (upper & (out > 0.0))
-        if not stays.any():
-            return out
-        open_ = open_ & ~stays
+
+    @cache
+    def eigen(some: bytes) -> tuple[np.ndarray, np.ndarray]:
+        open_ = np.frombuffer(some, bool)
+        return _eigen(gram[np.ix_(open_, open_)])
+
+    def changed(damping: float) -> np.ndarray:
+        open_ = alive
+        while True:
+            out = np.zeros(len(pull))
+            if not open_.any():
+                return out
+            values, vectors = eigen(open_.tobytes())
+            out[open_] = (vectors / (values + damping)) @ (vectors.T @ pull[open_])
+            stays = (lower & (out < 0.0)) | (upper & (out > 0.0))
+            if not stays.any():
+                return out
+            open_ = open_ & ~stays
+
+    return changed
 
 
 def finish(now: Iterate) -> Fit:
