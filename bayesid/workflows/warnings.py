@@ -274,7 +274,10 @@ def impossible_signs(estimate: Estimate, problem: Problem) -> list[str]:
         )
     if denied.any():
         friction = any(owners[k - rank].urdf_dynamics is not None for k in np.flatnonzero(denied))
-        falls = "friction may fall with speed (Stribeck) or follow the load, or " if friction else ""
+        falls = (
+            "friction may fall with speed (Stribeck) or follow the load, the drive may take its own friction compensation out of "
+            "the readings, or "
+        ) if friction else ""  # fmt: skip
         out.append(
             f"What cannot be negative is, beside friction of the same joint that is positive: {shown(np.flatnonzero(denied))}. "
             f"So the torques' sign is not to blame: {falls}this bandwidth and these speeds do not tell it from other parameters. "

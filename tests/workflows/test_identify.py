@@ -442,6 +442,7 @@ def test_the_sign_is_blamed_for_negative_friction_where_all_of_the_joint_is_nega
     said = [w for w in falls.warnings if "cannot be negative" in w]
     assert len(said) == 1 and "viscous_friction@joint1.coefficient = -0." in said[0] and "falls with speed" not in said[0]
     assert "sign is not to blame" in said[0] and "Stribeck" in said[0] and "Check signs" not in str(falls)
+    assert "own friction compensation" in said[0]
     # Next to no viscous friction comes out of either sign by noise, which is no fault.
     either = [_with_friction(robot, 0.0, noise=sign) for sign in (1.0, -1.0)]
     viscous = [r.effects()[0]["parameters"]["coefficient"]["value"] for r in either]
