@@ -82,6 +82,7 @@ class CoupledTransmission(TransmissionEffect):
 
 class CoupledFriction(ReadingEffect):
     name = "coupled_friction"
+    part_of = "friction"
     channels = ("torque",)
     at = "joint->joint"
     along_joint = True

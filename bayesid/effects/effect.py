@@ -143,6 +143,8 @@ class Effect(ABC):
     #: Whether its values, but those of shapes and lasting ones, change from day to day, with temperature, load and grease,
     #: without anything having changed.
     wanders: ClassVar[bool] = False
+    #: What it is a part of that may change as a whole, by one factor, such as all friction of a joint.
+    part_of: ClassVar[str] = ""
     since_zero: ClassVar[bool] = False  # whether it grows from time zero of the tables on
     last_resort: ClassVar[bool] = False  # whether `trials` are made only where columns leave something unexplained
     #: Factors on its first value, from which a fit that leaves something unexplained is started again.

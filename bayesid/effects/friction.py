@@ -48,6 +48,7 @@ WARMING_TIMES = (5.0, 30.0, 300.0)
 
 class ViscousFriction(JointTorqueEffect):
     name = "viscous_friction"
+    part_of = "friction"
     summary = "friction in proportion to velocity"
     wanders = True
     equation = "$c\\,\\dot q$"
@@ -63,6 +64,7 @@ class ViscousFriction(JointTorqueEffect):
 
 class DirectionalFriction(JointTorqueEffect):
     name = "directional_friction"
+    part_of = "friction"
     summary = "viscous friction that differs by direction"
     equation = (
         "$d\\,\\lvert\\dot q\\rvert$: with viscous friction $c$ it is $c + d$ forwards, $c - d$ backwards; "
@@ -79,6 +81,7 @@ class DirectionalFriction(JointTorqueEffect):
 
 class CoulombFriction(JointTorqueEffect):
     name = "coulomb_friction"
+    part_of = "friction"
     summary = "constant friction against the motion"
     wanders = True
     equation = "$l\\,\\mathrm{sign}\\,\\dot q$, a ramp below 0.001 rad/s (m/s)"
@@ -95,6 +98,7 @@ class CoulombFriction(JointTorqueEffect):
 
 class PostureFriction(JointTorqueEffect):
     name = "posture_friction"
+    part_of = "friction"
     summary = "constant friction that grows and falls with the joint's angle"
     equation = "$(a \\cos q + b \\sin q)\\,\\mathrm{sign}\\,\\dot q$, beside a Coulomb friction"
     source = _ARMSTRONG
@@ -112,6 +116,7 @@ class PostureFriction(JointTorqueEffect):
 
 class DahlFriction(JointTorqueEffect):
     name = "dahl_friction"
+    part_of = "friction"
     summary = "constant friction that builds up over a short way after every reversal, with hysteresis"
     equation = (
         "$l z$, $\\mathrm{d}z = (\\mathrm{sign}\\,\\dot q - z)\\,\\lvert\\mathrm{d}q\\rvert / \\delta$; "
@@ -141,6 +146,7 @@ class DahlFriction(JointTorqueEffect):
 
 class StribeckFriction(JointTorqueEffect):
     name = "stribeck_friction"
+    part_of = "friction"
     summary = "extra friction near zero speed"
     wanders = True
     equation = "$l\\,e^{-(\\dot q / v)^2}\\,\\mathrm{sign}\\,\\dot q$"
@@ -161,6 +167,7 @@ class StribeckFriction(JointTorqueEffect):
 
 class LoadFriction(JointTorqueEffect):
     name = "load_friction"
+    part_of = "friction"
     summary = "friction in proportion to the joint's load"
     wanders = True
     equation = "$c\\,\\lvert\\tau\\rvert\\,\\mathrm{sign}\\,\\dot q$"
@@ -179,6 +186,7 @@ class LoadFriction(JointTorqueEffect):
 
 class WarmingFriction(JointTorqueEffect):
     name = "warming_friction"
+    part_of = "friction"
     summary = "friction of a cold drive that falls as it warms"
     equation = (
         "$-(l\\,\\mathrm{sign}\\,\\dot q + c\\,\\dot q)\\,T (1 - e^{-t / T})$ beside the cold friction, with $t$ of the table: "

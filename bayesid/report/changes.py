@@ -86,7 +86,7 @@ def _change(x: NamedChange, c: ReferenceComparison) -> Html:
     """What one change is and its values."""
     rows = [[*results.value_text(v), *([number(v.before)] if x.change.known else [])] for v in (*x.values, *x.derived)]
     head = ["parameter", "change", "± (95 %)", "interval", "unit", *["in the reference"] * x.change.known]
-    summary, share = x.change.effects[0].summary, results.shares_sentence(x, c)
+    summary, share = x.change.summary, results.shares_sentence(x, c)
     text = f"{summary[0].upper()}{summary[1:]}.{f' {share}.' if share else ''}"
     return below(results.worded(x.change, c), text, ShownTable(head, rows, f"k nb n n u{' n' * x.change.known}", "narrow"))
 

@@ -23,7 +23,7 @@ from bayesid.validation.own_fit import left_dict
 from bayesid.validation.prediction import Prediction
 
 #: Kinds of changes whose smallest visible size is given where nothing changed.
-_LISTED = ("payload", "coulomb_friction", "viscous_friction", "torque_gain", "sensor_offset", "sensor_gain")
+_LISTED = ("payload", "friction", "coulomb_friction", "viscous_friction", "torque_gain", "sensor_offset", "sensor_gain")
 #: Each verdict in a few words, and its colour.
 VERDICTS = {
     "named": ("changed", "fair"), "named_in_part": ("changed, named in part", "fair"),
@@ -117,7 +117,8 @@ class Changes(ShownResult):
         return strict({
             "schema": SCHEMA, "experiment": self.experiment.name, "reference": self.reference,
             "channel": c.recording.problem.channel, "verdict": c.verdict, "summary": verdict_sentence(c),
-            "effects": [change_dict(x) for x in c.changes], "where": [self._place(p) for p in c.errors.places],
+            "effects": [entry for x in c.changes for entry in change_dicts(x)],
+            "where": [self._place(p) for p in c.errors.places],
             "gap": self._gap(), "remainder": self._remainder(),
             "candidates": [
                 {"name": h.name, "where": h.where, "log_bayes_factor": e, "minimum_detectable": minimum.get(h.spec, np.inf)}
@@ -162,6 +163,20 @@ class Changes(ShownResult):
         }  # fmt: skip
 
 
+def change_dicts(x: NamedChange) -> list[dict[str, Any]]:
+    """Entries of ``effects`` in ``diagnosis.json``: one, or one for every effect that changes by the same factor."""
+    one = change_dict(x)
+    if not x.change.together:
+        return [one]
+    specs, out = [e.spec for e in x.change.effects], []
+    for e in x.change.effects:
+        own = {v.name.removeprefix(f"{e.name}."): v for v in x.derived if v.name.startswith(f"{e.name}.")}
+        values = {name: {**with_ends(v.value, v.std, v.unit), "reference": v.before} for name, v in own.items()}
+        others = [spec for spec in specs if spec != e.spec]
+        out.append({**one, "name": e.name, "parameters": values, "derived": one["parameters"], "together_with": others})
+    return out
+
+
 def change_dict(x: NamedChange) -> dict[str, Any]:
     """An entry of ``effects`` in ``diagnosis.json``."""
     lead = x.found.lead
@@ -177,8 +192,10 @@ def change_dict(x: NamedChange) -> dict[str, Any]:
 
 def worded(change: Hypothesis, comparison: ReferenceComparison) -> str:
     """``payload at joint6 (wrist_3_joint)``; the place is left out where there is only one."""
-    everywhere = change.where == EVERYWHERE
-    return f"{change.name} at every joint" if everywhere else placed(change.effects[0], comparison.reference.robot)
+    if change.where == EVERYWHERE:
+        return f"{change.name} at every joint"
+    effect = change.effects[0]
+    return change.name + placed(effect, comparison.reference.robot).removeprefix(effect.name)
 
 
 def verdict_sentence(comparison: ReferenceComparison) -> str:
@@ -254,7 +271,7 @@ def notes(comparison: ReferenceComparison) -> list[str]:
             out.append(f"A negative mass at {x.change.where}: something was taken away since the reference.")
     if c.described_by is not None:
         out.append(f"What stays goes with {c.described_by}.")
-    if (strange := no_such_robot(c.recording)).any():
+    if (strange := no_such_robot(c.recording, c.errors)).any():
         names = listed([n for n, s in zip(c.recording.problem.row_model.channels.names, strange, strict=True) if s])
         out.append(
             f"The recording's own fit leaves up to {number(float(c.recording.grown.max()), 2)} times as much of {names} as the "
@@ -357,7 +374,7 @@ class Watched:
             return {**out, "complaint": self.complaint}
         p = self.comparison.errors
         return strict({
-            **out, "effects": [change_dict(x) for x in self.changes], "gap": self.gap,
+            **out, "effects": [entry for x in self.changes for entry in change_dicts(x)], "gap": self.gap,
             "gap_left": float(np.sqrt(p.after if self.changes else p.tolerance)),
             "largest_log_evidence": self.evidence, "left": [left_dict(x) for x in self.left],
             "times_noise": self.times_noise, "warnings": list(self.warnings),

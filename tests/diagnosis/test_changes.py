@@ -44,8 +44,8 @@ def _dense(rows, left, known, mean, spread):
     return np.log(np.mean(np.exp(np.array(out) - np.max(out)), axis=0)).max() + np.max(out)
 
 
-@pytest.mark.parametrize("standing", [False, True])
-def test_evidence_is_that_of_the_dense_gaussian(standing):
+@pytest.mark.parametrize(("standing", "together"), [(False, False), (True, False), (False, True)])
+def test_evidence_is_that_of_the_dense_gaussian(standing, together):
     rng = np.random.default_rng(3)
     rows, known = rng.normal(size=(40, 7)), rng.normal(size=(7, 3)) * 0.5
     left = rows @ rng.normal(size=7) + rng.normal(size=40)
@@ -57,9 +57,11 @@ def test_evidence_is_that_of_the_dense_gaussian(standing):
         always = np.zeros((7, 4))
         always[[5, 6], 2:], always[3, 0], always[4, 1] = both.root, 0.1, 0.3
         mean[[5, 6]] = both.mean
-    change = Hypothesis("x", "y", (CoulombFriction("joint1", 0),), np.array([3, 4]), np.array([0.5, 2.0]), both)
+    effects, columns = (CoulombFriction("joint1", 0),), np.array([3, 4])
+    change = Hypothesis("x", "y", effects, columns, np.array([0.5, 2.0]), both, together=together)
     spread = np.zeros((7, 2))
     spread[3, 0], spread[4, 1] = 0.5, 2.0
+    spread = spread.sum(axis=1, keepdims=True) if together else spread
     marginal = Marginal(Reduced.of(rows, left), known, np.zeros(7))
     with_it = _dense(rows, left, np.hstack([known, always]), mean, spread)
     without = _dense(rows, left, np.hstack([known, always]), mean, np.zeros((7, 0)))
@@ -277,6 +279,26 @@ def test_friction_of_one_joint_is_named(arm):
     assert abs(level.value - 8.0) < 3.0 * level.std + 0.8
 
 
+def test_all_friction_of_a_joint_changes_by_one_factor(arm, tmp_path):
+    """It was sought one parameter at a time, each beside the other's change: neither had the evidence that both have."""
+    twice = np.where(np.arange(6) == 1, 2.0, 1.0)
+    found = bayesid.diagnose(_recorded(arm, 2, coulomb=twice * COULOMB, viscous=twice * VISCOUS), reference=_recorded(arm, 1))
+    (change,) = found.comparison.changes
+    assert (found.verdict, change.change.spec) == ("named", "friction@joint2") and change.found.evidence > 25.0
+    (factor,) = change.values
+    assert factor.before == 1.0 and abs(factor.value - 1.0) < 2.0 * factor.std
+    told = found.to_dict()["effects"]
+    assert [(e["name"], e["where"]) for e in told] == [("viscous_friction", "joint2"), ("coulomb_friction", "joint2")]
+    assert told[0]["together_with"] == ["coulomb_friction@joint2"]
+    assert told[1]["parameters"]["level"]["value"] == pytest.approx(factor.value * told[1]["parameters"]["level"]["reference"])
+    text = str(found)
+    assert "Changed since ‘test’: friction at joint2." in text and "factor" in text and "coulomb_friction.level" in text
+    found.write(tmp_path / "out")
+    assert "friction as a whole, by one factor" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8").lower()
+    values = found.model[1]["coulomb_friction@joint2"]
+    assert values["level"] == pytest.approx(16.0, abs=2.0)
+
+
 def test_nothing_is_named_where_friction_wanders_by_a_twentieth(arm):
     rng = np.random.default_rng(0)
     coulomb, viscous = (x * (1.0 + 0.05 * rng.normal(size=6)) for x in (COULOMB, VISCOUS))
@@ -288,7 +310,7 @@ def test_nothing_is_named_where_friction_wanders_by_a_twentieth(arm):
     np.testing.assert_allclose([e for _, e in twice.ranked(())], [e for _, e in s.ranked(())], atol=1e-9)
     hidden = {h.change.spec: h.value for h in found.comparison.hidden}
     assert 0.01 < hidden["payload@joint6"] < 1.5
-    assert 0.8 < hidden["coulomb_friction@joint2"] < 8.0
+    assert 0.8 < hidden["coulomb_friction@joint2"] < 8.0 and 0.1 < hidden["friction@joint2"] < 1.0
     assert "could hide" in str(found)
 
 
@@ -300,6 +322,17 @@ def test_friction_that_wanders_within_a_recording_is_no_change(arm):
         for seed, way in ((1, 1.0), (2, -1.0))
     )
     assert bayesid.diagnose(after, reference=before).verdict == "nothing_missing"
+
+
+def test_friction_that_wanders_makes_no_other_robot(arm):
+    """What the later recording's own fit leaves grows with friction that it takes for constant."""
+    warm = 1.0 + np.linspace(-0.08, 0.08, 1500)[:, None]
+    before, after = (
+        _recorded(arm, 1, torque_std=0.1),
+        _recorded(arm, 2, coulomb=COULOMB * warm, viscous=VISCOUS * warm, torque_std=0.1),
+    )
+    found = bayesid.diagnose(after, reference=before)
+    assert found.comparison.recording.grown.max() > 3.0 and found.verdict == "nothing_missing"
 
 
 class SlackeningFriction(JointTorqueEffect):

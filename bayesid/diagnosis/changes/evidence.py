@@ -129,17 +129,16 @@ class Marginal:
         Of an effect that the reference's model does not have, what is in both recordings is in both densities.
         """
         null, gram, vector = self._with_shared(change)
-        return null, null + added_evidence(gram, vector, change.sizes)
+        return null, null + added_evidence(gram, vector, change.root)
 
 
-def added_evidence(gram: np.ndarray, vector: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+def added_evidence(gram: np.ndarray, vector: np.ndarray, root: np.ndarray) -> np.ndarray:
     """Log evidence that columns with Gram matrices (K, k, k) and products with the target (K, k) add, by size (sizes, K).
 
-    Beforehand the amplitudes have standard deviations of the typical sizes (k,) times each of `SIZES`: one eigendecomposition of
-    W does for all of them.
+    Beforehand the amplitudes' covariance has the root (k, m) times each of `SIZES`: one eigendecomposition of W does for all.
     """
-    values, vectors = np.linalg.eigh(sizes[:, None] * gram * sizes)
-    along = ((vector * sizes)[:, None, :] @ vectors)[:, 0]
+    values, vectors = np.linalg.eigh(root.T @ gram @ root)
+    along = ((vector @ root)[:, None, :] @ vectors)[:, 0]
     square = np.square(SIZES)[:, None, None]
     spread = square * np.maximum(values, 0.0)
     return 0.5 * np.sum(square * along**2 / (1.0 + spread) - np.log1p(spread), axis=2)
@@ -163,8 +162,8 @@ def expected_gain(marginals: Iterable[Marginal], change: Hypothesis, amplitudes:
     parts = []
     for null, gram in (m.information(change) for m in marginals):
         seen = gram @ amplitudes
-        cost = added_evidence(gram, np.zeros_like(seen), change.sizes)
-        parts.append((null, 0.5 * seen @ amplitudes, cost, added_evidence(gram, seen, change.sizes) - cost))
+        cost = added_evidence(gram, np.zeros_like(seen), change.root)
+        parts.append((null, 0.5 * seen @ amplitudes, cost, added_evidence(gram, seen, change.root) - cost))
 
     def at(factor: float) -> float:
         without = [null - factor**2 * lost for null, lost, _, _ in parts]

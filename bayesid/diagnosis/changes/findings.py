@@ -56,8 +56,8 @@ def smallest(selection: Selection, settings: Settings) -> tuple[HiddenChange, ..
 
 
 def _smallest(marginals: Sequence[Marginal], change: Hypothesis, needed: float) -> float:
-    evidence = expected_gain(marginals, change, change.sizes / change.sizes[0])
-    low, high = 1e-6 * change.sizes[0], 1e3 * change.sizes[0]
+    evidence = expected_gain(marginals, change, change.sizes * change.unit / change.sizes[0])
+    low, high = 1e-6 * change.sizes[0] / change.unit, 1e3 * change.sizes[0] / change.unit
     if evidence(high) < needed:
         return float("inf")
     while high > _PRECISION * low:
@@ -80,17 +80,18 @@ def confirmed(selection: Selection, errors: HeldOutErrors, settings: Settings) -
     fitted, out = amplitudes(selection.marginal()), []
     for a, own, low in zip(selection.accepted, selection.directions, errors.shares_low, strict=True):
         values, root = fitted.part(own)[a.change.columns], fitted.part_root(own)[a.change.columns]
-        if low > 0.0 and outside(squared_distance(values, root @ root.T), len(values), settings):
+        if low > 0.0 and outside(squared_distance(values, root @ root.T), a.change.root.shape[1], settings):
             out.append(a)
     return tuple(out)
 
 
-def no_such_robot(recording: LaterRecording) -> np.ndarray:
+def no_such_robot(recording: LaterRecording, errors: HeldOutErrors) -> np.ndarray:
     """Channels of which the recording's own fit leaves more, beside what the reference's leaves, than any dispersion allows (c,).
 
-    What changed there is nothing that another robot with this model would read, such as two cables that were exchanged.
+    What changed there is nothing that another robot with this model would read, such as two cables that were exchanged; unless it
+    is friction that wanders within the recording, which its own fit does not have and the tolerance has.
     """
-    return recording.grown**2 > DISPERSIONS[-1]
+    return (recording.grown * np.minimum(errors.tolerated, 1.0)) ** 2 > DISPERSIONS[-1]
 
 
 def verdict(selection: Selection, errors: HeldOutErrors, settings: Settings, more: bool) -> Verdict:
@@ -132,7 +133,7 @@ class NamedChange:
     #: Of the gap between reference and recording that it closes on held-out parts; lower end of its one-sided 95 % interval.
     share: float
     share_low: float
-    #: What follows from the parameters of an effect that came, see `bayesid.effects.effect.Effect.derived`.
+    #: What follows from the parameters of an effect that came, see `bayesid.effects.effect.Effect.derived`; or from one factor.
     derived: tuple[Value, ...] = ()
 
     @property
@@ -223,14 +224,14 @@ def compare_with_learned(
     except np.linalg.LinAlgError:  # weights without bound
         said = "its own fit leaves next to nothing of some readings, so that what a change leaves has no measure; record longer"
         raise InputError(f"experiment {after.name}: {said}") from None
-    decided = verdict(selection, errors, settings, bool(no_such_robot(recording).any()))
+    decided = verdict(selection, errors, settings, bool(no_such_robot(recording, errors).any()))
     named = confirmed(selection, errors, settings)
     free = selection.for_values
     fitted = amplitudes(free.marginal())
     estimates = _estimates(reference.robot, free, fitted)
     each = zip(selection.accepted, free.accepted, estimates, errors.shares, errors.shares_low, strict=True)
     changes = tuple(
-        NamedChange(a, _values(reference, b.change, *estimate), share, low, _derived(b.change, *estimate))
+        NamedChange(a, _values(reference, b.change, *estimate), share, low, _derived(reference, b.change, *estimate))
         for a, b, estimate, share, low in each
         if a in named
     )
@@ -261,6 +262,9 @@ def _values(reference: Reference, change: Hypothesis, mean: np.ndarray, covarian
     std = np.sqrt(np.diag(covariance))
     before = reference.solution[change.columns] if change.known else np.zeros(len(mean))
     proposal = change.proposal
+    if change.together:  # columns of one amplitude
+        factor, std = mean[0] / change.sizes[0], np.sqrt(covariance[0, 0]) / abs(change.sizes[0])
+        return (Value("factor", "1", float(factor), float(std), 1.0),)
     if proposal is None:
         each = zip(change.parameters, mean, std, before, strict=True)
         return tuple(Value(n, u, float(v), float(s), float(b)) for (n, u), v, s, b in each)
@@ -274,8 +278,14 @@ def _values(reference: Reference, change: Hypothesis, mean: np.ndarray, covarian
     return tuple(Value(n, u, float(v), float(s), 0.0) for n, u, v, s in zip(names, units, values, spread, strict=True))
 
 
-def _derived(change: Hypothesis, mean: np.ndarray, covariance: np.ndarray) -> tuple[Value, ...]:
-    """What follows from the parameters of an effect that came at one place and has no shape."""
+def _derived(reference: Reference, change: Hypothesis, mean: np.ndarray, covariance: np.ndarray) -> tuple[Value, ...]:
+    """What follows from the parameters of an effect that came at one place and has no shape, or from one factor."""
+    if change.together:
+        model = reference.problem.row_model
+        named = model.of_free((f"{e.name}.{n}", u) for e in model.effects for n, u in zip(e.parameters, e.units, strict=True))
+        own = [named[k - model.base.rank] for k in change.columns]
+        each = zip(own, mean, np.sqrt(np.diag(covariance)), reference.solution[change.columns], strict=True)
+        return tuple(Value(name, unit, float(v), float(s), float(b)) for (name, unit), v, s, b in each)
     effect, *others = change.effects
     if change.known or change.proposal is not None or others:
         return ()

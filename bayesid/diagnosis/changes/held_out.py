@@ -55,6 +55,7 @@ class HeldOutErrors:
     closed: float
     closed_low: float
     by_channel: np.ndarray  # root mean square by channel: reference, with the changes, after, floor (c, 4)
+    tolerated: np.ndarray  # root mean square by channel without any change, all else fitted within its tolerance (c,)
     places: tuple[Place, ...]  # channels and blocks of time where the reference's prediction is furthest off
     segments: int  # how many were left out in turn
 
@@ -75,13 +76,12 @@ def held_out_errors(selection: Selection, recording: LaterRecording, settings: S
     if means[0] <= floor:
         shares, low = np.full((2, len(shares)), np.nan)
     last = -4  # the reference with all changes and nothing else
+    channels = np.sqrt([squares[recording.channel == c].mean(axis=0) for c in range(len(recording.scale))])
     return HeldOutErrors(
         reference=float(means[0]), changes=tuple(means[1:-3].tolist()), after=float(means[-3]), tolerance=float(means[-2]),
         floor=floor, shares=tuple(shares[1:].tolist()), shares_low=tuple(low[1:].tolist()), closed=float(shares[0]),
         closed_low=float(low[0]),
-        by_channel=np.sqrt(
-            [squares[recording.channel == c][:, [0, last, -3, -1]].mean(axis=0) for c in range(len(recording.scale))]
-        ),
+        by_channel=channels[:, [0, last, -3, -1]], tolerated=channels[:, -2],
         places=_places(recording, squares, blocks, settings),
         segments=int(_groups(recording).max()) + 1,
     )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -48,15 +49,33 @@ class Hypothesis:
     #: The same change with all its parameters and next to no prior: a prior that weighs names pulls values towards zero.
     for_values: Hypothesis | None = None
     far: bool = False  # whether it is a body away from its joint
+    together: bool = False  # whether all columns change by one factor, ``sizes`` being what the reference has of them
 
     @property
     def spec(self) -> str:
         """The effect's name and place, ``name@where``."""
         return f"{self.name}@{self.where}"
 
+    @cached_property
+    def root(self) -> np.ndarray:
+        """What amplitudes of unit variance make of the columns' (k, m), for a prior of typical size."""
+        return self.sizes[:, None] if self.together else np.diag(self.sizes)
+
+    @property
+    def unit(self) -> float:
+        """The first column's amplitude by which the change's size is told: one, or as much as makes a factor of two."""
+        return float(self.sizes[0]) if self.together else 1.0
+
+    @property
+    def summary(self) -> str:
+        """What it is, a few words."""
+        return f"{self.name} as a whole, by one factor" if self.together else self.effects[0].summary
+
     @property
     def parameters(self) -> tuple[tuple[str, str], ...]:
-        """Name and unit of each amplitude (k,)."""
+        """Name and unit of each parameter by which the change is told."""
+        if self.together:
+            return (("factor", "1"),)
         several = len(self.effects) > 1
         each = [
             (f"{e.where}.{p.name}" if several else p.name, unit)
@@ -84,7 +103,7 @@ def beside(change: Hypothesis, effect: Hypothesis) -> Hypothesis:
 
 def hypotheses(reference: Reference) -> tuple[Hypothesis, ...]:
     """Everything that may have changed."""
-    return (*_bodies(reference), *_known(reference), *_new(reference))
+    return (*_bodies(reference), *_known(reference), *_wholes(reference), *_new(reference))
 
 
 def gain_columns(reference: Reference) -> np.ndarray:
@@ -137,6 +156,23 @@ def _known(reference: Reference) -> Iterator[Hypothesis]:
         free, sizes = model.free[place][changes], np.abs(effect.typical(reference.robot))[changes]
         if changes.any() and free.all() and sizes.min() > 0.0:
             yield Hypothesis(effect.name, effect.where, (effect,), column[place][changes], sizes, known=True)
+
+
+def _wholes(reference: Reference) -> Iterator[Hypothesis]:
+    """All that the model has of a joint's friction, by one factor: a gear that runs dry, or was greased."""
+    model = reference.problem.row_model
+    wholes: dict[tuple[str, str], list[tuple[Effect, int, float]]] = {}
+    free = model.of_free((e, p) for e in model.effects for p in e.quantities)
+    for k, (effect, p) in enumerate(free, model.base.rank):
+        value = float(np.clip(reference.solution[k], p.lower, p.upper))
+        if effect.part_of and p.linear and not p.lasting and value != 0.0:
+            wholes.setdefault((effect.part_of, effect.where), []).append((effect, k, value))
+    for (name, where), parts in wholes.items():
+        if len(parts) > 1:
+            effects, columns, values = zip(*parts, strict=True)
+            yield Hypothesis(
+                name, where, tuple(dict.fromkeys(effects)), np.array(columns), np.array(values), known=True, together=True
+            )  # fmt: skip
 
 
 def _new(reference: Reference) -> Iterator[Hypothesis]:

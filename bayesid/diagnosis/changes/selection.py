@@ -53,7 +53,7 @@ class Selection:
         count = len(parts[0])
         mean = np.zeros(count)
         for a in self.accepted if accepted is None else accepted:
-            parts.append(_at(count, a.change.columns, np.diag(a.size * a.change.sizes)))
+            parts.append(_at(count, a.change.columns, a.size * a.change.root))
             if (both := a.change.shared) is not None:
                 parts.append(_at(count, a.change.columns, factor * np.diag(both.wander)))
                 parts.append(_at(count, both.columns, both.root))
@@ -71,7 +71,7 @@ class Selection:
         """Which of the directions of `marginal` are each change's."""
         start, out = self.tolerance[self.factor].shape[1], []
         for a in self.accepted:
-            count = len(a.change.columns)
+            count = a.change.root.shape[1]
             out.append(slice(start, start + count))
             start += count if a.change.shared is None else 3 * count
         return tuple(out)
