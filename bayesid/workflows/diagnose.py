@@ -146,10 +146,11 @@ def diagnose(
             said = of_recordings(experiment, (), [x.change.name for x in found.changes])
             said = (*said, *of_reference(before, said))
             return Changes(found, time.perf_counter() - since, said)
-        stated = missing(as_experiment(experiment), chosen, tell, seed, settings, progress)
-        diagnosis = _without_stated_friction(stated, chosen, tell, seed, progress)
+        recorded = as_experiment(experiment)
+        recorded = recorded if effects is None else replace(recorded, effects=tuple(effects))
+        diagnosis = missing(recorded, chosen, tell, seed, settings, progress, keep_friction=False)
         progress("signs, frames and units")
-        recorded, following = stated.data.experiment, diagnosis.next_experiment
+        following = diagnosis.next_experiment
         if wrong := mistakes(recorded, [f.term.effect.name for f in diagnosis.found]):  # no new recording mends that
             following = "Undo the mistake that the notes name, and diagnose again."
         said = recorded.with_findings([*wrong, *diagnosis.remarks], validated=False)
@@ -158,9 +159,12 @@ def diagnose(
 
 def missing(
     experiment: Experiment, chosen: FitOptions, tell: str | Sequence[str] | None, seed: int, settings: Settings | None,
-    progress: Progress,
+    progress: Progress, keep_friction: bool = True,
 ) -> Diagnosis:  # fmt: skip
-    """What `diagnose` finds without a reference, and without what is wrong with the recordings themselves."""
+    """What `diagnose` finds without a reference, and without what is wrong with the recordings themselves.
+
+    ``keep_friction`` says whether friction of the model stays in it where something stays unexplained beside it.
+    """
     channel, motions, effects, settings = chosen.channel, chosen.motions, chosen.effects, settings or DEFAULT
     with one_blas_thread():
         if effects is not None:
@@ -205,6 +209,10 @@ def missing(
             progress("between the times at which joints turn")
             result = searched(between)
         tried = None
+        if result.verdict == "unknown" and not keep_friction:
+            other = _without_friction(result.search, chosen, tell, seed, progress)
+            if other is not None:
+                return other
         if result.verdict == "unknown":
             progress("effects that held-out recordings confirm")
             tried = proven_effects(result.search, seed)
@@ -225,28 +233,27 @@ def missing(
     return diagnosis
 
 
-def _without_stated_friction(
-    stated: Diagnosis, chosen: FitOptions, tell: str | Sequence[str] | None, seed: int, progress: Progress
-) -> Diagnosis:
-    """The diagnosis with the user's friction left out, where something stays beside it and that predicts recordings better.
+def _without_friction(
+    s: Search, chosen: FitOptions, tell: str | Sequence[str] | None, seed: int, progress: Progress
+) -> Diagnosis | None:
+    """The diagnosis with the user's friction left out, if its model predicts recordings held out in turn better than the user's.
 
     Friction that a model states hides of which kind a joint's is: beside Coulomb friction no bristle is sought, and what little
     other friction closes of the gap that stays is too little to be named.
     """
-    experiment, s = stated.data.experiment, stated.search
+    data, experiment = s.projector.data, s.projector.data.experiment
     friction = [t for t in s.base.terms if t.effect.wanders]
-    names = {t.effect.name for t in friction} - {t.effect.name for t in friction if stated.data.fixed(t)}
-    if not names or stated.verdict not in ("unknown", "named_in_part"):
-        return stated
+    names = {t.effect.name for t in friction} - {t.effect.name for t in friction if data.fixed(t)}
+    if not names:
+        return None
     progress("friction of the model left out")
     rest = replace(
         experiment, effects=tuple(spec for spec in experiment.effects if spec.split("@")[0] not in names),
         effect_values={spec: values for spec, values in experiment.effect_values.items() if spec.split("@")[0] not in names},
     )  # fmt: skip
-    found = missing(rest, replace(chosen, effects=None), tell, seed, stated.data.settings, progress)
-    handed_on = s.best if stated.found else s.base
-    if found.verdict == "unknown" or not predicts_better(found.search.best, handed_on, s.base, seed):
-        return stated
+    found = missing(rest, replace(chosen, effects=None), tell, seed, data.settings, progress)
+    if found.verdict == "unknown" or not predicts_better(found.search.best, s.base, s.base, seed):
+        return None
     told = (
         f"Beside the model's {', '.join(sorted(names))} something stays that no effect explains, so this was left out and "
         "sought anew: what is named now predicts recordings held out in turn better. Shares of the gap are those of the model "
