@@ -16,7 +16,7 @@ from tests.studies.page import fill as fill
 from tests.studies.page import plain as plain
 
 ROBOTS = {"kuka-lwr4": "KUKA LWR4+", "ur10": "UR10"}
-MODELS = {"rigid": "rigid bodies", "friction": "friction and offsets known"}
+MODELS = {"rigid": "rigid bodies", "friction": "friction and offsets stated"}
 COLOURS = {"named": ORANGE, "ambiguous": "#f59f00", "unknown": BLUE, "nothing_missing": GREY, "named_in_part": GREEN}
 
 
@@ -121,7 +121,7 @@ def _robot(robots: dict[str, Any]) -> dict[str, str]:
 
 def _sentences(robots: dict[str, Any]) -> dict[str, str]:
     """Numbers of the text beside the table."""
-    kuka, ur10, known = robots["kuka-lwr4"]["rigid"], robots["ur10"]["rigid"], robots["ur10"]["friction"]
+    kuka, ur10 = robots["kuka-lwr4"]["rigid"], robots["ur10"]["rigid"]
     left = {name.removeprefix("tau"): after for name, (_, after) in kuka["gap"]["channels"].items()}
     worst = sorted(sorted(left, key=left.__getitem__)[-2:])
     return {
@@ -132,7 +132,6 @@ def _sentences(robots: dict[str, Any]) -> dict[str, str]:
         "ur10-share": f"{100 * (1 - (ur10['gap']['after'] / ur10['gap']['before']) ** 2):.0f} %",
         "ur10-fitted": f"{ur10['fitted']['after']:.1f}",
         "ur10-unseen": f"{ur10['gap']['after']:.1f}",
-        "ur10-little": f"{100 * (1 - known['gap']['after'] / known['gap']['before']):.0f} %",
     }
 
 
@@ -214,11 +213,9 @@ def _draw_robot(robots: dict[str, Any], path: Path) -> None:
         figure = Figure(figsize=(9, 3.4), layout="constrained")
         for ax, (name, cases) in zip(figure.subplots(1, 2, sharey=True), robots.items(), strict=True):
             channels = np.arange(1, len(cases["rigid"]["gap"]["channels"]) + 1)
-            sets = (("rigid", 0, ORANGE, "rigid bodies"), ("rigid", 1, "#f5a97f", "and effects named or tried"))
-            sets += (("friction", 0, BLUE, "friction and offsets known"), ("friction", 1, "#8bb8f8", "and effects tried"))
-            for k, (model, side, colour, label) in enumerate(sets):
-                values = [pair[side] for pair in cases[model]["gap"]["channels"].values()]
-                ax.bar(channels + 0.2 * (k - 1.5), values, 0.18, color=colour, label=label)
+            for k, (colour, label) in enumerate(((ORANGE, "rigid bodies"), (BLUE, "and effects named"))):
+                values = [pair[k] for pair in cases["rigid"]["gap"]["channels"].values()]
+                ax.bar(channels + 0.4 * (k - 0.5), values, 0.36, color=colour, label=label)
             ax.axhline(1.0, color=GREY, lw=1, ls="--", label="noise, or what stands in for it")
             ax.set(yscale="log", xlabel="joint", title=ROBOTS[name], xticks=channels, ylim=(0.1, 200.0))
         ax = figure.axes[0]
