@@ -86,6 +86,8 @@ class Diagnosis(ShownResult):
         Where the model with the effects named in part and the data disagree.
     errors
         What `bayesid.identify` leaves of every motion without and with the effects named; those that were not fitted first.
+    left_out
+        Friction that the user's model states, by name, that was left out of the search, for it explains more so.
     """
 
     verb, report = "diagnose", "diagnosis"
@@ -106,6 +108,7 @@ class Diagnosis(ShownResult):
     remainder: tuple[Disagreement, ...] = ()
     errors: tuple[MotionErrors, ...] = ()
     shifts: tuple[Shift, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         named = f": {', '.join(f.term.effect.spec for f in self.found)}" if self.found else ""
@@ -217,7 +220,7 @@ class Diagnosis(ShownResult):
                 "after": float(np.sqrt(self.search.best.chi2 / self.search.projector.rows)),
                 "unexplained": float(np.sqrt(self.search.dispersion)),
             },
-            "base_parameter_shifts": [asdict(shift) for shift in self.shifts],
+            "left_out": list(self.left_out), "base_parameter_shifts": [asdict(shift) for shift in self.shifts],
             "remarks": list(self.remarks), "next_experiment": self.next_experiment,
             "next_motion": None if self.telling is None else telling_dict(self.telling, NEXT_MOTION),
             "runtime_s": self.seconds,
@@ -292,17 +295,18 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     if d.verdict == "unknown":
         return "Something is missing, and no effect of the library explains it."
     count = _COUNTS.get(len(names), f"{len(names)} effects")
+    misses = f"Without its own {in_words(d.left_out)} the model misses" if d.left_out else "The model misses"
     if d.verdict == "named_in_part":
         each = [_with_rivals(name, f, d) for name, f in zip(names, d.found, strict=True)]
         spelt = in_words(each) if len(names) <= _SPELT_OUT else in_words(by_kind(f.term for f in d.found))
         by = "" if d.part is None else f" that {held_out_text(d.data, d.part.held_out_parts)} confirm"
         more = d.part is None or d.reason == "residual" or bool(d.part.groups)
-        return f"The model misses {count}{by}{', and more that stays unexplained' if more else ''}: {spelt}."
+        return f"{misses} {count}{by}{', and more that stays unexplained' if more else ''}: {spelt}."
     if d.verdict == "ambiguous":
         parts = [_with_rivals(name, f, d) for name, f in zip(names, d.found, strict=True)]
         these = "poses" if d.data.poses else "motions"
-        return f"The model misses {count}, but these {these} do not tell every name apart: {'; and '.join(parts)}."
-    return f"The model misses {count}: {' and '.join(names)}."
+        return f"{misses} {count}, but these {these} do not tell every name apart: {'; and '.join(parts)}."
+    return f"{misses} {count}: {' and '.join(names)}."
 
 
 def _with_rivals(name: str, found: Found, diagnosis: Diagnosis) -> str:

@@ -25,7 +25,7 @@ from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.push import Push, find_push, less_push, measured_push, without_push
-from bayesid.diagnosis.remarks import next_experiment, remarks
+from bayesid.diagnosis.remarks import by_kind, next_experiment, remarks
 from bayesid.diagnosis.search import Found, Search, certain, holds_below, leaves_noise, search, search_from
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.stability import Stability, stability
@@ -254,12 +254,17 @@ def _without_friction(
     found = missing(rest, replace(chosen, effects=None), tell, seed, data.settings, progress)
     if found.verdict == "unknown" or not predicts_better(found.search.best, s.base, s.base, seed):
         return None
+    stated = {t.effect for t in friction}
+    new = [f.term for f in found.found if f.term.effect not in stated]
+    gone = [t for t in friction if t.effect.name in names and t.effect not in {f.term.effect for f in found.found}]
     told = (
         f"Beside the model's {', '.join(sorted(names))} something stays that no effect explains, so this was left out and "
         "sought anew: what is named now predicts recordings held out in turn better. Shares of the gap are those of the model "
         "without it."
+        + (f" The model did not state {', '.join(by_kind(new))}." if new else "")
+        + (f" Of what it stated, {', '.join(by_kind(gone))} {'is' if len(gone) == 1 else 'are'} not found." if gone else "")
     )
-    found = replace(found, remarks=(told, *found.remarks))
+    found = replace(found, remarks=(told, *found.remarks), left_out=tuple(sorted(names)))
     return _with_errors(found, None, chosen.motions, progress, experiment)
 
 

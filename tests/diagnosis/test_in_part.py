@@ -98,6 +98,10 @@ def test_stated_friction_is_left_out_where_something_stays_beside_it(recorded, a
     assert found.verdict == "named_in_part" and {f.term.effect.spec for f in found.found} == set(HIDDEN)
     effects, values = found.model
     assert set(effects) == set(HIDDEN) and "Beside the model's coulomb_friction something stays" in found.remarks[0]
+    assert "Without its own coulomb_friction the model misses" in str(found) and found.to_dict()["left_out"] == [
+        "coulomb_friction"
+    ]
+    assert "The model did not state viscous_friction@joint2." in found.remarks[0] and "not found" not in found.remarks[0]
     for model, side in ((stated, "before"), (replace(stated, effects=effects, effect_values=values), "after")):
         own = identify(model, progress=None)
         for told in found.errors:

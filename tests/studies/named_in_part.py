@@ -123,6 +123,7 @@ recording's `experiment.toml` states. [How it decides](../../howto/diagnose.md#r
 {{ cases }}
 
 - **Closed**: share of the gap between the user's model and the noise on recordings held out in turn; every channel counts alike.
+  Where friction that is stated is left out and sought anew, the gap is that of the model without it.
 - **Friction at**: joints with at least one kind of friction named.
 - **Least squares**: the thirty lines of [real robots](../real-robots/README.md), error over signal below 10 Hz on the
 motion that was not
