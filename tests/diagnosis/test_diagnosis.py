@@ -490,7 +490,7 @@ def test_a_step_holds_what_would_pass_its_limit(seed, size):
     rng = np.random.default_rng(seed)
     columns, target = rng.normal(size=(20, size)), rng.normal(size=20)
     lower = rng.uniform(size=size) < 0.5
-    change = fit._change(columns.T @ columns, columns.T @ target, 0.0, np.ones(size, bool), (lower, np.zeros(size, bool)))
+    change = fit._changes(columns.T @ columns, columns.T @ target, np.ones(size, bool), (lower, np.zeros(size, bool)))(0.0)
     assert np.all(change[lower] >= 0.0)
     kept = change != 0.0
     np.testing.assert_allclose(change[kept], np.linalg.lstsq(columns[:, kept], target)[0], rtol=1e-6, atol=1e-9)
