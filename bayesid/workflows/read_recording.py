@@ -81,7 +81,7 @@ def read_recording(
     urdf
         Path of the robot's URDF, or any other robot that `bayesid.load_robot` takes.
     validation
-        Recordings that are only predicted.
+        Recordings that are only predicted, whether or not ``source`` names them too.
     mapping
         A TOML file with ``[columns]``, ``[units]`` and ``[units.scale]``.
     columns
@@ -138,9 +138,12 @@ def read_recording(
     _check_meant([*_paths(source), *_paths(validation)], topics=topics, clock=clock, episodes=episodes)
     options = dict(topics=topics, mapped=stated.names(), episodes=episodes, poses=kind == "poses")
     times = stated_times(stated) if join_files else None
-    given, held_out = _read(source, times, **options), _read(validation, times, **options)
+    predicted = {path.resolve() for path in _paths(validation)}
+    fitted = [path for path in _paths(source) if path.resolve() not in predicted]
+    given, held_out = _read(fitted, times, **options), _read(validation, times, **options)
     if not given:
-        raise InputError(f"no recording is given; name one ({argument('source')})")
+        what = "every recording is for validation; name one that is not" if held_out else "no recording is given; name one"
+        raise InputError(f"{what} ({argument('source')})")
     if rate is not None and not (math.isfinite(rate) and rate > 0.0):
         raise InputError(f"{argument('rate', rate)}: give samples a second, such as 500")
     if hold_out is not None and not 0.0 < hold_out < 1.0:

@@ -262,6 +262,16 @@ def test_the_end_of_a_recording_may_be_held_out(known, tmp_path):
         bayesid.read_recording(tmp_path / "log.csv", known.urdf, hold_out=25.0)
 
 
+def test_a_recording_that_source_and_validation_name_is_only_predicted(known, tmp_path):
+    for name in ("run1.csv", "run2.csv"):
+        by_joint(known, t=known.t).to_csv(tmp_path / name, index=False)
+    every, kept = sorted(tmp_path.glob("run*.csv")), str(tmp_path / ".." / tmp_path.name / "run1.csv")  # a name by another way
+    imported = bayesid.read_recording(every, known.urdf, units={"q": "rad"}, validation=kept)
+    assert [(m.name, m.role) for m in imported.experiment.motions] == [("run2", "identification"), ("run1", "validation")]
+    with pytest.raises(InputError, match=r"every recording is for validation; name one that is not \(source\)"):
+        bayesid.read_recording(every, known.urdf, units={"q": "rad"}, validation=every)
+
+
 def test_old_samples_at_the_times_of_new_ones_are_left_out(known, tmp_path):
     """A logger that now and then reads before the robot has written, and stalls in the end; a robot at rest repeats rows, too."""
     frame = by_joint(known, time=known.t).iloc[:900]
