@@ -124,6 +124,7 @@ class InPart:
     near: frozenset[str]  # effects that are named, their rivals, and those that would add anything to them, ``name@place``
     #: What they close in the channels that they act in, where they close too little of the whole gap.
     groups: tuple[ChannelGroup, ...] = ()
+    below: float = np.inf  # bandwidth of the motion that it was found at [Hz], where that is not the usual one
 
     @property
     def names(self) -> frozenset[str]:

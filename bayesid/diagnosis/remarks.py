@@ -75,6 +75,13 @@ def remarks(
         out.append(f"Much of the gap stays, but most of it is closed in the channels that these effects act in. {each}.")
     if verdict == "named_in_part" and part is not None and not part.groups:
         out += _in_part(search, reason)
+    if verdict == "named_in_part" and part is not None and part.below < np.inf:
+        highest = max(x.frequencies[-1] for x in data.segments)
+        out.append(
+            f"What is named was found up to {highest:.2g} Hz, and shares are of that: with a bandwidth of {part.below:.2g} Hz "
+            "recordings held out in turn are predicted best, and below it better so than by what was found up to "
+            f"{data.settings.band:g} Hz. Above, readings follow no model of rigid links."
+        )
     if data.floor_source != WHITE:  # the usual one needs no word
         out.append(SOURCES[data.floor_source])
     if any(x.between_turns for x in data.segments):

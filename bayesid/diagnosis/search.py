@@ -13,7 +13,7 @@ from math import inf
 import numpy as np
 
 from bayesid.diagnosis.candidates import Library, Proposal, make_library, surroundings
-from bayesid.diagnosis.data import OneValue
+from bayesid.diagnosis.data import DiagnosisData, OneValue
 from bayesid.diagnosis.fit import Fit, differs_from_zero, distance, fit
 from bayesid.diagnosis.forward import State, forward_selection, is_surrogate_combination, measured_dispersion, too_many_to_name
 from bayesid.diagnosis.noise import with_noise_of
@@ -78,6 +78,13 @@ def search_from(s: Search, terms: Sequence[Term], seed: int, progress: Callable[
     models, best = state.models.own(fit(state.base.projector, terms, state.base))
     state = forward_selection(replace(state, models=models, best=best), progress)
     return _settled(state, s.proposals, progress)
+
+
+def with_data(s: Search, data: DiagnosisData) -> Search:
+    """The search with its models fitted to other data of the same recordings."""
+    projector = make_projector(data, s.base.terms)
+    base, best = fit(projector, s.base.terms, s.base), fit(projector, s.best.terms, s.best)
+    return replace(s, projector=projector, base=base, best=best, library=make_library(projector, base))
 
 
 def _settled(state: State, first: Sequence[Proposal], progress: Callable[[str], None]) -> Search:
@@ -178,4 +185,4 @@ def _of_model(s: Search, best: Fit, found: Sequence[Found], seed: int) -> Search
     return replace(s, found=tuple(_valued(f, s, k) for k, f in enumerate(found, known)))
 
 
-__all__ = ["Found", "Pruned", "Search", "certain", "holds_below", "leaves_noise", "refit", "search", "search_from"]
+__all__ = ["Found", "Pruned", "Search", "certain", "holds_below", "leaves_noise", "refit", "search", "search_from", "with_data"]

@@ -105,6 +105,16 @@ def fit_and_predict(problem: Problem) -> tuple[Estimate, tuple[Prediction, ...]]
     return estimate, tuple(in_order(partial(predict, problem, estimate, floor=floor), motions))
 
 
+def chosen_bandwidth(experiment: Experiment, options: FitOptions) -> float:
+    """Bandwidth of the joint motion at which `bayesid.identify` fits a model [Hz]; infinite where it cannot fit it."""
+    try:
+        problem = prepare(experiment, options)
+        problem, _ = solve(problem, default_method(problem))
+    except (InputError, np.linalg.LinAlgError):
+        return np.inf
+    return problem.smoother.bandwidth
+
+
 def before_and_after(before: Experiment, after: Experiment | None, options: FitOptions) -> BeforeAndAfter:
     """Fit two models of the same recordings; the second may be None.
 

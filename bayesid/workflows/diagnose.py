@@ -6,7 +6,7 @@ With a reference it finds what changed since a recording of the robot in its kno
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
@@ -26,7 +26,7 @@ from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.push import Push, find_push, less_push, measured_push, without_push
 from bayesid.diagnosis.remarks import by_kind, next_experiment, remarks
-from bayesid.diagnosis.search import Found, Search, certain, holds_below, leaves_noise, search, search_from
+from bayesid.diagnosis.search import Found, Search, certain, holds_below, leaves_noise, search, search_from, with_data
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.stability import Stability, stability
 from bayesid.diagnosis.turns import between_turns
@@ -40,7 +40,8 @@ from bayesid.regression.readings import default_channel
 from bayesid.results.changes import Changes
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.excitation import telling_sentence
-from bayesid.validation.own_fit import before_and_after
+from bayesid.results.fitted_model import fitted_model
+from bayesid.validation.own_fit import before_and_after, chosen_bandwidth
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.warnings import mistakes, of_recordings, of_reference
 
@@ -216,6 +217,8 @@ def missing(
         if result.verdict == "unknown":
             progress("effects that held-out recordings confirm")
             tried = proven_effects(result.search, seed)
+            if push is None and between is None:
+                tried = _where_it_predicts(result.search, tried, prepared, seed, progress)
             if tried is not None and leaves_noise(tried.search):
                 again = checked(search_from(result.search, tried.search.best.terms, seed, progress))
                 result, tried = (result, tried) if again.verdict == "unknown" else (again, None)
@@ -266,6 +269,32 @@ def _without_friction(
     )
     found = replace(found, remarks=(told, *found.remarks), left_out=tuple(sorted(names)))
     return _with_errors(found, None, chosen.motions, progress, experiment)
+
+
+def _where_it_predicts(
+    s: Search, tried: InPart | None, prepared: Callable[[float], DiagnosisData], seed: int, progress: Progress
+) -> InPart | None:
+    """What is proven up to the bandwidth at which `bayesid.identify` predicts best, if that lies within what was compared.
+
+    Joints vibrate as no rigid model does, and where they do all effects are small. What is found below has to predict recordings
+    held out in turn better there than what was found before, None where that is nothing.
+    """
+    data = s.projector.data
+    if data.poses:
+        return tried
+    model = (tried.search if tried else s).best
+    effects, values = fitted_model(data.experiment, [t.effect.spec for t in model.terms], model.terms)
+    motions = tuple(dict.fromkeys(x.motion for x in data.segments))
+    stated = replace(data.experiment, effects=effects, effect_values=values)
+    below = chosen_bandwidth(stated, FitOptions(data.channel, motions=motions))
+    if below >= max(x.frequencies[-1] for x in data.segments):
+        return tried
+    progress("effects below the frequencies at which joints vibrate")
+    lower = with_data(s, prepared(below))
+    found = proven_effects(lower, seed)
+    if found is None or (tried is not None and not predicts_better(found.search.best, tried.search.best, lower.base, seed)):
+        return tried
+    return replace(found, below=below)
 
 
 @dataclass(frozen=True, eq=False)
