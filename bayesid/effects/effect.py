@@ -78,6 +78,8 @@ class Parameter:
     lasting: bool = False  # whether it is what a robot is built with, such as gears and rotors, and stays as it is
     #: Parameter of another effect at the same place, ``effect.parameter``, whose torque it takes away as the drive warms.
     fall_of: str = ""
+    #: Whether no robot has a negative one, although readings may ask for it: those that lack what a drive compensates.
+    never_negative: bool = False
 
 
 #: Units along a sliding joint by those about a turning one.
@@ -204,7 +206,7 @@ class Effect(ABC):
     @property
     def non_negative(self) -> tuple[bool, ...]:
         """Whether a negative value is impossible, by parameter."""
-        return tuple(low >= 0.0 for low in self.lower)
+        return tuple(p.never_negative or p.lower >= 0.0 for p in self.quantities)
 
     @classmethod
     def acts_on(cls, channel: str) -> bool:

@@ -53,7 +53,7 @@ class ViscousFriction(JointTorqueEffect):
     wanders = True
     equation = "$c\\,\\dot q$"
     source = _ARMSTRONG
-    quantities = (Parameter("coefficient", "N m s/rad", lower=0.0, typical=partial(sizes.viscous, share=0.06)),)
+    quantities = (Parameter("coefficient", "N m s/rad", never_negative=True, typical=partial(sizes.viscous, share=0.06)),)
     confusable_with = ("coulomb_friction", "fluid_drag")
     column_in_time = "sampled"
     urdf_dynamics = "damping"
