@@ -163,6 +163,16 @@ def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> li
     if data.instants:
         out.append("Readings fit better as values at their times than as means over a sample's time, so they are taken for that.")
     positions = np.vstack([s.trajectory.positions for s in data.segments])
+    negative = [
+        f.term for f in found
+        if any(never and value < 0.0 for never, value in zip(f.term.effect.non_negative, f.term.values, strict=True))
+    ]  # fmt: skip
+    if negative:
+        out.append(
+            f"{', '.join(by_kind(negative))} {'is' if len(negative) == 1 else 'are'} negative, as no joint's friction is: the "
+            "drive may take more friction compensation out of the readings than the joint has, friction may fall with speed "
+            "(Stribeck), or what the library lacks acts like it on these motions. It predicts readings, and is for no simulator."
+        )
     out += [sentence for f in found for sentence in (*_at_an_end(f.term), *f.term.caveats(positions))]
     hidden = gap is not None and not gap.closed_low > 0.0
     if found and hidden and all(f.term.effect.changes_link for f in found):

@@ -116,8 +116,9 @@ def sizes() -> Iterator[str]:
         usual = ", ".join(f"`{p.name}` {v:.2g}" for p, v in zip(effect.quantities, effect.typical(robot), strict=True))
         bounds: dict[tuple[float, float], list[str]] = {}
         for p in effect.quantities:
-            if np.isfinite([p.lower, p.upper]).any():
-                bounds.setdefault((p.lower, p.upper), []).append(f"`{p.name}`")
+            lower = 0.0 if p.never_negative else p.lower
+            if np.isfinite([lower, p.upper]).any():
+                bounds.setdefault((lower, p.upper), []).append(f"`{p.name}`")
         possible = ", ".join(f"{' '.join(keys)} {_range(*ends)}" for ends, keys in bounds.items()) or "any"
         yield f"| `{effect.name}` | {usual} | {possible} | {effect.source} |\n"
 

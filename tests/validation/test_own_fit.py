@@ -12,7 +12,7 @@ from bayesid.estimators.nonlinear import default_method
 from bayesid.regression.options import FitOptions
 from bayesid.results.files import report_of
 from bayesid.simulation.trajectories import Trajectory
-from bayesid.validation.own_fit import before_and_after, left_text
+from bayesid.validation.own_fit import before_and_after, chosen_bandwidth, left_text
 from bayesid.validation.prediction import judged
 from tests.malformed import DATA
 from tests.robots import wrist_sensor_arm, write
@@ -109,6 +109,8 @@ def test_a_model_that_cannot_be_fitted_is_said_to_be_one(robot):
     both = before_and_after(one, impossible, options)
     assert both.errors and all(e.after is None for e in both.errors)
     assert "with the effects named" in both.refused and "no_such_effect" in both.refused
+    assert chosen_bandwidth(one, options) == bayesid.identify(one, options=options, progress=None).problem.smoother.bandwidth
+    assert chosen_bandwidth(impossible, options) == np.inf
     nothing = before_and_after(impossible, None, options)
     assert nothing.errors == () and "cannot fit it" in nothing.refused
     assert before_and_after(one, None, options).refused == ""
