@@ -34,6 +34,7 @@ from bayesid.report.diagnosis import diagnosis_report
 from bayesid.robot.robot import Robot, load_robot
 from bayesid.simulation.simulation import simulate
 from bayesid.simulation.trajectories import fourier_trajectory
+from bayesid.workflows import diagnose as workflow
 from bayesid.workflows.demo import PAPER_LOCKED, puma_two_joint_urdf
 from tests.robots import ur5, write
 
@@ -124,6 +125,34 @@ def test_which_model_predicts_better_is_a_question_to_recordings_left_out(diagno
     s = diagnosis.search
     assert predicts_better(s.best, s.base, s.base, 0) and not predicts_better(s.base, s.best, s.base, 0)
     assert not predicts_better(s.best, s.best, s.base, 0)
+
+
+def test_effects_are_proven_up_to_the_bandwidth_that_predicts_best(diagnosis, monkeypatch):
+    """Where that lies within what was compared, and where what is found there predicts better than what was found before."""
+    s, before, asked = diagnosis.search, diagnosis.part, []
+
+    def prepared(below: float):
+        asked.append(below)
+        return prepare_data(s.projector.data.experiment, "torque", (), None, 0, frozenset(), DEFAULT, below)
+
+    def found(bandwidth: float, tried: InPart | None) -> InPart:
+        monkeypatch.setattr(workflow, "chosen_bandwidth", lambda experiment, options: bandwidth)
+        part = workflow._where_it_predicts(s, tried, prepared, 0, lambda said: None)
+        assert part is not None
+        return part
+
+    assert found(20.0, before) is before and asked == []
+    assert found(5.0, before) is before and asked == [5.0]  # the same friction explains no more there
+    alone = found(5.0, None)
+    assert alone.names == set(HIDDEN) and alone.below == 5.0
+    assert max(x.frequencies[-1] for x in alone.search.projector.data.segments) <= 4.0
+    for f in alone.search.found:
+        (truth,) = HIDDEN[f.term.effect.spec].values()
+        assert abs(f.term.values[0] - truth) < 3.0 * f.std[0]
+    little = replace(before, search=replace(before.search, best=before.search.base, found=()))
+    assert found(5.0, little).names == set(HIDDEN)
+    said = remarks(alone.search, diagnosis.gap, "named_in_part", "residual", (), alone)
+    assert sum("was found up to 4 Hz" in x and "bandwidth of 5 Hz" in x for x in said) == 1
 
 
 def test_the_gap_is_in_units_of_a_noise_that_is_alike_at_all_frequencies(diagnosis):
