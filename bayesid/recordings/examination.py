@@ -13,7 +13,6 @@ import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import Finding, columns_of, listed
-from bayesid.recordings.motion import Motion
 from bayesid.recordings.motion_checks import (
     MATCH,
     MIN_SAMPLES,
@@ -24,6 +23,7 @@ from bayesid.recordings.motion_checks import (
     joint_columns,
     wraps,
 )
+from bayesid.recordings.parts import Motion
 from bayesid.recordings.table import Table
 from bayesid.robot.robot import Robot
 

@@ -18,11 +18,10 @@ from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import Finding, columns_of, listed
 from bayesid.recordings.examination import examine
-from bayesid.recordings.given import as_table, check_kinds, listed_effects
 from bayesid.recordings.importing.column_map import ColumnMap, column_map
 from bayesid.recordings.importing.recording import read_stated
 from bayesid.recordings.importing.stream import kind_of
-from bayesid.recordings.motion import Motion
+from bayesid.recordings.parts import Motion, Sensor, as_table, check_kinds, listed_effects
 from bayesid.recordings.robot_section import check_knowledge, check_loaded, read_robot, robot_doubts, with_stated_effects
 from bayesid.recordings.schema import (
     EffectParameters,
@@ -35,7 +34,6 @@ from bayesid.recordings.schema import (
     read_model,
     unlisted_values,
 )
-from bayesid.recordings.sensor import Sensor
 from bayesid.recordings.stored import StoredTable, stored_table
 from bayesid.recordings.table import WRENCH_COLUMNS, Table
 from bayesid.recordings.table_reader import read_table

@@ -19,7 +19,7 @@ from bayesid.estimators import Estimate
 from bayesid.estimators.parameters import Parameters, central_interval
 from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.recordings.experiment import Experiment, as_experiment
-from bayesid.recordings.motion import Motion
+from bayesid.recordings.parts import Motion
 from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.regression.parallel import in_order, one_blas_thread
 from bayesid.regression.problem import Problem

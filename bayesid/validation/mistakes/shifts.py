@@ -13,7 +13,7 @@ import numpy as np
 from bayesid.dynamics.regressors import Kernel
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment
-from bayesid.recordings.motion import Motion
+from bayesid.recordings.parts import Motion
 from bayesid.regression.linalg import pseudo_inverse
 from bayesid.regression.readings import has_readings, make_channels, readings_of
 from bayesid.rounding import number
