@@ -14,9 +14,8 @@ from bayesid.arguments import ByName
 from bayesid.design.bounds.bands import FAR, Band, band
 from bayesid.design.bounds.knowledge import Known
 from bayesid.design.bounds.model import ReadingModel
-from bayesid.design.bounds.region import Region
+from bayesid.design.bounds.region import Region, ellipsoid_term, norm_term, tracking_bound
 from bayesid.design.bounds.remainder import Remainder
-from bayesid.design.bounds.robust import ellipsoid_term, norm_term, tracking_bound
 from bayesid.design.bounds.workspace import InsideJoints, Workspace, mass_eigenvalues
 from bayesid.drawing import figures_of
 from bayesid.errors import InputError

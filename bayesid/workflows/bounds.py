@@ -12,8 +12,8 @@ from bayesid.arguments import argument, call
 from bayesid.design.bounds.bands import FAR, Band, band
 from bayesid.design.bounds.knowledge import PRIOR_DRAWS, Known, known_from, prior_links
 from bayesid.design.bounds.model import ReadingModel, left_out_effects, possible_parameters, sensor_model, spread, torque_model
+from bayesid.design.bounds.region import effort_ratio
 from bayesid.design.bounds.remainder import Remainder, remainder
-from bayesid.design.bounds.robust import effort_ratio
 from bayesid.design.bounds.workspace import CONFIGURATIONS, inside_joints, sobol_configurations, workspace_bounds
 from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects import MotionSegment

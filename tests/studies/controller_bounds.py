@@ -28,8 +28,8 @@ from bayesid import estimators
 from bayesid.design.bounds.bands import band as band_of
 from bayesid.design.bounds.knowledge import Known, known_from, prior_links
 from bayesid.design.bounds.model import ReadingModel, torque_model
+from bayesid.design.bounds.region import ellipsoid_term, norm_term, tracking_bound
 from bayesid.design.bounds.remainder import remainder
-from bayesid.design.bounds.robust import ellipsoid_term, norm_term, tracking_bound
 from bayesid.design.bounds.workspace import Terms, Workspace, mass_eigenvalues, sobol_configurations, workspace_bounds
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.dynamics.channels import torque_channels

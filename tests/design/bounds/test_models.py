@@ -8,9 +8,8 @@ import pytest
 
 from bayesid.design.bounds.bands import band
 from bayesid.design.bounds.model import Drive, ReadingModel
-from bayesid.design.bounds.region import region_of_draws
+from bayesid.design.bounds.region import ellipsoid_term, norm_term, region_of_draws, tracking_bound
 from bayesid.design.bounds.remainder import Remainder
-from bayesid.design.bounds.robust import ellipsoid_term, norm_term, tracking_bound
 from bayesid.design.bounds.workspace import Terms, mass_eigenvalues, sobol_configurations, workspace_bounds
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.dynamics.channels import torque_channels
