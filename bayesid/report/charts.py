@@ -16,6 +16,7 @@ from markupsafe import Markup, escape
 
 from bayesid.recordings.experiment import Motion
 from bayesid.recordings.table import WRENCH_COLUMNS
+from bayesid.signals.arrays import runs
 
 CYCLE = (
     "#1d4ed8", "#c2410c", "#0f766e", "#7c3aed", "#be185d", "#a16207", "#475569", "#0891b2", "#65a30d", "#dc2626",
@@ -81,7 +82,8 @@ class Panel:
 
     def curve(self, x: np.ndarray, y: np.ndarray, colour: str) -> str:
         """A line through points; nan interrupts it."""
-        path = "".join(_path(*_simplified(self.across(x[part]), self.down(y[part]))) for part in _unbroken(x, y))
+        parts = (slice(*run) for run in runs(np.isfinite(x) & np.isfinite(y)))
+        path = "".join(_path(*_simplified(self.across(x[part]), self.down(y[part]))) for part in parts)
         return f'<path d="{path}" fill="none" stroke="{colour}" stroke-width="1" stroke-linejoin="round"/>'
 
     def dots(self, x: np.ndarray, y: np.ndarray, colour: str) -> str:
@@ -197,13 +199,6 @@ def _texts(values: np.ndarray) -> list[str]:
 
 def _line(x1: float, y1: float, x2: float, y2: float, colour: str, width: float) -> str:
     return f'<path d="M{x1:.1f} {y1:.1f}L{x2:.1f} {y2:.1f}" stroke="{colour}" stroke-width="{width}"/>'
-
-
-def _unbroken(x: np.ndarray, y: np.ndarray) -> list[slice]:
-    """Split a curve where it has nan."""
-    there = np.isfinite(x) & np.isfinite(y)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]).astype(int)))
-    return [slice(a, b) for a, b in edges.reshape(-1, 2)]
 
 
 def _simplified(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
