@@ -19,7 +19,7 @@ from bayesid.errors import InputError
 from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
 from bayesid.regression.row_cache import RowCache
 from bayesid.robot import inertia
-from bayesid.robot.prior import Prior, with_sizes
+from bayesid.robot.prior import Prior, natural_sizes
 from bayesid.signals.filters import LowPass
 
 
@@ -112,10 +112,8 @@ class Regression:
     @cached_property
     def nominal_scale(self) -> np.ndarray | None:
         """How uncertain ``nominal`` is when every body's mass distribution is so by its own size (r,)."""
-        if self.knowledge.nominal_links is None:
-            return None
-        covariance = Prior.nominal(with_sizes(self.knowledge.nominal_links), 2.0**0.5).covariance
-        return np.sqrt(np.einsum("ij,jk,ik->i", self.base.matrix, covariance, self.base.matrix))
+        links = self.knowledge.nominal_links
+        return None if links is None else natural_sizes(links, self.base.matrix)
 
     @classmethod
     @explains_types

@@ -27,7 +27,7 @@ from bayesid.results.comparison import Entry, HasEntries
 from bayesid.results.estimated import HasEstimate
 from bayesid.results.files import BESIDE, WRITTEN, check_schema
 from bayesid.results.frames import frame
-from bayesid.robot.prior import Prior, with_sizes
+from bayesid.robot.prior import natural_sizes
 from bayesid.robot.urdf import JointDynamics
 from bayesid.rounding import LEVEL
 from bayesid.validation.flexible import FlexibleGap
@@ -200,10 +200,8 @@ class LoadedIdentification(HasEstimate, _WithModel):
     @property
     def nominal_scale(self) -> np.ndarray | None:
         """How uncertain ``nominal`` is when every body's mass distribution is so by its own size (r,)."""
-        links, k = self.document["nominal_links"], self.base.matrix
-        if links is None:
-            return None
-        return np.sqrt(np.einsum("ij,jk,ik->i", k, Prior.nominal(with_sizes(np.array(links)), 2.0**0.5).covariance, k))
+        links = self.document["nominal_links"]
+        return None if links is None else natural_sizes(np.array(links), self.base.matrix)
 
 
 def _entries(key: str, text: str) -> Any:

@@ -236,6 +236,12 @@ def with_sizes(links: np.ndarray) -> np.ndarray:
     return np.where(bodies[:, :1] == 0.0, ball, bodies)
 
 
+def natural_sizes(links: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """How uncertain combinations (r, 10 b) of links' parameters are, every body's mass distribution by its own size (r,)."""
+    covariance = Prior.nominal(with_sizes(links), 2.0**0.5).covariance
+    return np.sqrt(np.einsum("ij,jk,ik->i", matrix, covariance, matrix))
+
+
 def filled_links(robot: Robot) -> np.ndarray:
     """Nominal parameters of every body (b, 10), with typical ones of a body that has no mass, as of a tool that no URDF holds."""
     weightless = robot.nominal[:, :1] == 0.0
