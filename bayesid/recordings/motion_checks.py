@@ -13,7 +13,7 @@ import numpy as np
 from bayesid.arguments import call
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import Finding, columns_of, listed
-from bayesid.recordings.table import GAP, LONGEST_STEP, Table, holes_left
+from bayesid.recordings.table import GAP, LONGEST_STEP, Table
 from bayesid.robot.robot import Robot
 from bayesid.signals.arrays import runs
 
@@ -129,7 +129,8 @@ class Timing:
 def table_steps(table: Table) -> np.ndarray:
     """Steps in time (N - 1,) [s]; those over rows that were left out, which is told on its own, are as long as usual."""
     steps = np.diff(table.times)
-    steps[holes_left(table.dropped, len(table))] = table.step
+    kept = np.delete(np.arange(len(table) + len(table.dropped)), table.dropped)
+    steps[np.diff(kept) > 1] = table.step
     return steps
 
 

@@ -56,12 +56,6 @@ def usable_rows(
     return np.union1d(missing, repeats), tuple(notes)
 
 
-def holes_left(dropped: np.ndarray, kept: int) -> np.ndarray:
-    """Whether rows were left out between each kept row and the next (kept - 1,), by the indices of those left out."""
-    rows = np.delete(np.arange(kept + len(dropped)), dropped)
-    return np.diff(rows) > 1
-
-
 def _note(what: str, rows: np.ndarray, fault: str, source: str, place: Callable[[int], str], times: np.ndarray) -> str:
     first = int(rows[0])
     at = f", {times[first]:.6g} s" if np.isfinite(times[first]) else ""
