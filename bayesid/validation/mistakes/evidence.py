@@ -165,6 +165,7 @@ class Explainer:
     def __init__(self, robot: Robot, channels: Channels, samples: Samples) -> None:
         self.robot, self.channels, self.samples = robot, channels, samples
         self.torque = channels.names[0].startswith("tau")
+        self.channel = "torque" if self.torque else "wrench"
         others = np.eye(5 * robot.n if self.torque else 2 * len(np.unique(samples.motion)) * len(channels))
         families = [body_generators(robot)]
         self.has_masses = robot.nominal[:, 0].sum() > 0.0

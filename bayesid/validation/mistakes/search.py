@@ -66,7 +66,7 @@ def worded(
         more = f"; or {len(alike) - 1 - _LISTED} more" if len(alike) > _LISTED + 1 else ""
         text += f". As likely: {'; or '.join(others)}{more}. {_decided_by(experiment, explainer, alike)}"
     return Mistake(
-        name=first.name, where=first.where, text=text, channel="torque" if explainer.torque else "wrench",
+        name=first.name, where=first.where, text=text, channel=explainer.channel,
         evidence=float(evidence), before=tuple(map(float, null.left)), after=tuple(map(float, fit.left)),
         alternatives=tuple((c.name, c.where) for c, _ in alike[1:]),
     )  # fmt: skip
@@ -82,8 +82,7 @@ def not_explained(explainer: Explainer, null: RobotFit, best: RobotFit) -> Mista
         f"{explainer.variation[k]:.2g}, and no mistake of sign, order, unit or frame that is known here mends it; look at the "
         "joints' order and zeros, at the sensor's frame, and whether all columns have one clock"
     )
-    channel = "torque" if explainer.torque else "wrench"
-    return Mistake("not_explained", "", text, channel, 0.0, tuple(map(float, left)), tuple(map(float, best.left)))
+    return Mistake("not_explained", "", text, explainer.channel, 0.0, tuple(map(float, left)), tuple(map(float, best.left)))
 
 
 def _decided_by(experiment: Experiment, explainer: Explainer, alike: Sequence[tuple[Candidate, RobotFit]]) -> str:
@@ -228,20 +227,21 @@ def unlike_urdf(experiment: Experiment) -> str | None:
         return None
     try:
         with one_blas_thread():
-            samples = low_passed(experiment, "torque")
-            if samples is None:
-                return None
-            return unlike_nominal(Explainer(experiment.robot, make_channels(experiment, "torque"), samples))
+            explainer = _explainer(experiment, "torque")
+            return None if explainer is None else unlike_nominal(explainer)
     except (InputError, np.linalg.LinAlgError, ValueError, RuntimeError):
         return None  # as there
 
 
 def _in_channel(experiment: Experiment, channel: str) -> list[Mistake]:
+    explainer = _explainer(experiment, channel)
+    return [] if explainer is None else [*_named(experiment, searched(experiment, explainer)), *weight_carried(explainer)]
+
+
+def _explainer(experiment: Experiment, channel: str) -> Explainer | None:
+    """What fits robots to the readings of a channel; None where there are not enough."""
     samples = low_passed(experiment, channel)
-    if samples is None:
-        return []
-    explainer = Explainer(experiment.robot, make_channels(experiment, channel), samples)
-    return [*_named(experiment, searched(experiment, explainer, channel)), *weight_carried(explainer)]
+    return None if samples is None else Explainer(experiment.robot, make_channels(experiment, channel), samples)
 
 
 def _named(experiment: Experiment, search: MistakeSearch) -> list[Mistake]:
@@ -264,10 +264,10 @@ def _named(experiment: Experiment, search: MistakeSearch) -> list[Mistake]:
     return [found, *(implausible_size(explainer, change) if found.name in _SIGNS else [])]
 
 
-def searched(experiment: Experiment, explainer: Explainer, channel: str) -> MistakeSearch:
+def searched(experiment: Experiment, explainer: Explainer) -> MistakeSearch:
     """Every candidate tried that could matter."""
     search = MistakeSearch(explainer)
-    search.try_out(candidates(experiment, channel, explainer.samples))
+    search.try_out(candidates(experiment, explainer.channel, explainer.samples))
     if search.worth_going_on:
         search.try_out(_several_signs(search))
     if search.worth_going_on:
