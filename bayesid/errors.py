@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import Any
 
 
@@ -30,6 +32,13 @@ class InputError(BayesidError):
         text = place + problem + (f"; {remedy}" if remedy else "")
         super().__init__(" ".join(text.split()) if "\n" in text else text)  # a value of several lines, such as an array
         self.file, self.key, self.value, self.remedy = file, key, value, remedy
+
+
+def did_you_mean(word: str, known: Iterable[str], otherwise: str = "") -> str:
+    """What to write instead of an unknown word: the nearest known one; where none is near, the list of them, or ``otherwise``."""
+    known = list(known)
+    close = get_close_matches(word, known, 1)
+    return f"did you mean '{close[0]}'?" if close else otherwise or f"choose one of {', '.join(known)}"
 
 
 def required(module: str, missing: InputError) -> Any:

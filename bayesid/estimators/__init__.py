@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import fields, is_dataclass, replace
-from difflib import get_close_matches
 
 import numpy as np
 from scipy.stats import chi2
 
 from bayesid.argument_types import explains_types
-from bayesid.errors import BayesidWarning, EstimationError, InputError
+from bayesid.errors import BayesidWarning, EstimationError, InputError, did_you_mean
 from bayesid.estimators.conic.physical import Physical
 from bayesid.estimators.errors_in_variables import InstrumentalVariables, TotalLeastSquares
 from bayesid.estimators.estimator import Estimate, Estimator
@@ -57,9 +56,7 @@ def estimator(method: str | Estimator) -> Estimator:
             raise InputError(f"method {type(method).__name__} is no estimator: it lacks {' and '.join(lacks)}")
         return method
     if method not in METHODS:
-        close = get_close_matches(method, METHODS, 1)
-        hint = f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(METHODS)}"
-        raise InputError(f"method '{method}' is unknown; {hint}")
+        raise InputError(f"method '{method}' is unknown; {did_you_mean(method, METHODS)}")
     return METHODS[method]
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from difflib import get_close_matches
 from functools import cached_property
 from hashlib import blake2b
 from heapq import heappop, heappush
@@ -22,7 +21,7 @@ import pinocchio as pin
 from bayesid.argument_types import explains_types
 from bayesid.arguments import argument
 from bayesid.arguments import names as as_names
-from bayesid.errors import InputError
+from bayesid.errors import InputError, did_you_mean
 from bayesid.robot import inertia
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
 
@@ -61,8 +60,7 @@ def locate_sensor(urdf: Path, model, name: str, index, parent, anchor, frame) ->
     found = [k for k, f in enumerate(model.frames) if f.name == name and f.type in kinds]
     if not found:
         known = [f.name for f in model.frames if f.type in kinds and f.name != "universe"]
-        close = get_close_matches(name, known, 1)
-        hint = f"did you mean '{close[0]}'?" if close else f"its joints are: {', '.join(known)}"
+        hint = did_you_mean(name, known, f"its joints are: {', '.join(known)}")
         raise InputError(f"sensor joint '{name}' is not in {urdf.name}; {hint}")
     n = len(parent)
     if name in index:
@@ -402,8 +400,7 @@ def _read(urdf: UrdfFile):
 
 def _unknown_joint(urdf: Path, model, name: str, moving: list[str]) -> str:
     kind = "is fixed in" if model.existFrame(name) else "is not in"
-    close = get_close_matches(name, moving, 1)
-    hint = f"did you mean '{close[0]}'?" if close else f"its moving joints are: {', '.join(moving)}"
+    hint = did_you_mean(name, moving, f"its moving joints are: {', '.join(moving)}")
     return f"joint '{name}' {kind} {urdf.name}; {hint}"
 
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from difflib import get_close_matches
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from bayesid.argument_types import explains_types
-from bayesid.errors import InputError
+from bayesid.errors import InputError, did_you_mean
 from bayesid.estimators.conic.problem import Linear
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
@@ -145,8 +144,7 @@ class Bounds:
         known = [f.name for f in fields(cls)]
         for key in table:
             if key not in known:
-                close = get_close_matches(key, known, 1)
-                raise InputError(f"bounds: key '{key}' is unknown; {_hint(close, known)}")
+                raise InputError(f"bounds: key '{key}' is unknown; {did_you_mean(key, known)}")
         out: dict[str, Any] = {}
         for key, value in table.items():
             entries = {key: value} if key == "total_mass" else value
@@ -167,7 +165,7 @@ class Bounds:
         where = dict(zip(names, bodies, strict=True))
         for name in [*self.mass, *self.com, *self.ellipsoid, *self.box]:
             if name not in where:
-                raise InputError(f"bounds: there is no body '{name}'; {_hint(get_close_matches(name, names, 1), names)}")
+                raise InputError(f"bounds: there is no body '{name}'; {did_you_mean(name, names)}")
         out = []
         if self.total_mass is not None:
             total = np.zeros((1, columns))
@@ -223,10 +221,6 @@ def load_bounds(path: str | Path, robot: Robot | None = None, locked: Mapping[st
 
 def _keys(kind: str, table: Mapping[str, Any]) -> dict[str, Any]:
     return {f"{kind}.{name}": value for name, value in table.items()}
-
-
-def _hint(close: Sequence[str], known: Sequence[str]) -> str:
-    return f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(known)}"
 
 
 def _is_pair(value: Any, nested: bool) -> bool:
