@@ -203,7 +203,7 @@ def _as_urdf(mujoco: Any, model: Any, names: Sequence[str], name: str) -> ET.Ele
                 turn = turn @ Rotation.from_rotvec(-reference * axis).as_matrix()
             child = links[b] if j == moving[-1] else unique(f"{names[j]}_link")
             element = _joint(root, names[j], "prismatic" if slides else "continuous", parent, child, at, turn)
-            ET.SubElement(element, "axis", xyz=_text(axis))
+            ET.SubElement(element, "axis", xyz=number_text(axis))
             _limit(element, model, j, slides, efforts[j])
             if names[j] in follows:
                 ET.SubElement(element, "mimic", joint=follows[names[j]])
@@ -217,9 +217,9 @@ def _as_urdf(mujoco: Any, model: Any, names: Sequence[str], name: str) -> ET.Ele
             inertial = ET.SubElement(link, "inertial")
             axes = _rotation(model.body_iquat[b])
             about = axes @ np.diag(model.body_inertia[b]) @ axes.T
-            ET.SubElement(inertial, "origin", xyz=_text(model.body_ipos[b] - anchors[b]), rpy="0 0 0")
-            ET.SubElement(inertial, "mass", value=_text(model.body_mass[b]))
-            ET.SubElement(inertial, "inertia", {key: _text(about[index]) for key, index in ENTRIES.items()})
+            ET.SubElement(inertial, "origin", xyz=number_text(model.body_ipos[b] - anchors[b]), rpy="0 0 0")
+            ET.SubElement(inertial, "mass", value=number_text(model.body_mass[b]))
+            ET.SubElement(inertial, "inertia", {key: number_text(about[index]) for key, index in ENTRIES.items()})
     return root
 
 
@@ -227,7 +227,7 @@ def _joint(root: ET.Element, name: str, kind: str, parent: str, child: str, at: 
     element = ET.SubElement(root, "joint", name=name, type=kind)
     ET.SubElement(element, "parent", link=parent)
     ET.SubElement(element, "child", link=child)
-    ET.SubElement(element, "origin", xyz=_text(at), rpy=_text(pin.rpy.matrixToRpy(turn)))
+    ET.SubElement(element, "origin", xyz=number_text(at), rpy=number_text(pin.rpy.matrixToRpy(turn)))
     return element
 
 
@@ -237,7 +237,7 @@ def _limit(joint: ET.Element, model: Any, j: int, slides: bool, effort: float) -
     lower, upper = model.jnt_range[j] if limited else (0.0, 0.0)
     if limited and not slides:
         joint.set("type", "revolute")
-    ET.SubElement(joint, "limit", lower=_text(lower), upper=_text(upper), velocity="0", effort=_text(effort))
+    ET.SubElement(joint, "limit", lower=number_text(lower), upper=number_text(upper), velocity="0", effort=number_text(effort))
 
 
 def _efforts(mujoco: Any, model: Any) -> np.ndarray:
@@ -285,8 +285,8 @@ def _notes(mujoco: Any, model: Any, names: Sequence[str], source: str) -> list[s
     out = []
     if not np.allclose(model.opt.gravity, _EARTH, atol=1e-3):
         out.append(
-            f"{source}: its gravity, {_text(model.opt.gravity)} m/s^2, is not taken: state gravity, if the recording's is not "
-            f"{_text(_EARTH)}"
+            f"{source}: its gravity, {number_text(model.opt.gravity)} m/s^2, is not taken: state gravity, if the recording's is "
+            f"not {number_text(_EARTH)}"
         )
     if model.body_gravcomp.any():
         out.append(f"{source}: gravcomp is left out: measured torques carry the whole weight; write 0, or correct the log")
@@ -313,5 +313,6 @@ def _rotation(quaternion: np.ndarray) -> np.ndarray:
     return Rotation.from_quat(np.roll(quaternion, -1)).as_matrix()
 
 
-def _text(values: Any) -> str:
+def number_text(values: Any) -> str:
+    """Numbers as an attribute of XML holds them, with all their digits."""
     return " ".join(repr(float(x)) for x in np.atleast_1d(values))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.robot import inertia
+from bayesid.robot.mjcf import number_text
 from bayesid.robot.robot import Robot
 
 
@@ -21,11 +23,6 @@ class JointDynamics:
     left_out: tuple[str, ...] = ()  # identified friction that is negative, and so not written, ``joint1 damping``
     #: Value and unit, by name, of what a URDF has no place for, such as rotor inertia: a simulator needs it beside the file.
     beside: dict[str, tuple[float, str]] = field(default_factory=dict)
-
-    def comments(self) -> list[str]:
-        """What stands as comments in the file: what it has no place for."""
-        lines = [f"{name} = {value:.6g} {unit}".rstrip() for name, (value, unit) in self.beside.items()]
-        return ["Identified along, and not part of this robot as a URDF has no place for it:", *lines] if lines else []
 
     def to_dict(self) -> dict[str, Any]:
         """The same as plain values for JSON."""
@@ -80,10 +77,16 @@ def urdf_text(robot: Robot, parameters: np.ndarray, dynamics: JointDynamics | No
         beside = robot.urdf.parent / element.get("filename", "")
         if beside.is_file():
             element.set("filename", beside.resolve().as_posix())
-    for line in reversed(dynamics.comments()):
-        root.insert(0, ET.Comment(f" {line.replace('--', '- -')} "))
+    add_comments(root, "Identified along, and not part of this robot as a URDF has no place for it:", dynamics.beside)
     ET.indent(root)
     return ET.tostring(root, encoding="utf-8", xml_declaration=True).decode("utf-8")
+
+
+def add_comments(root: ET.Element, title: str, beside: Mapping[str, tuple[float, str]]) -> None:
+    """Put values and units (by name) that a file has no place for on top of it as comments, below a title; nothing for none."""
+    lines = [f"{name} = {value:.6g} {unit}".rstrip() for name, (value, unit) in beside.items()]
+    for line in reversed([title, *lines] if lines else []):
+        root.insert(0, ET.Comment(f" {line.replace('--', '- -')} "))
 
 
 def link_names(robot: Robot) -> tuple[str, ...]:
@@ -111,7 +114,7 @@ def carried(link: str, joints: dict, bodies: tuple[str, ...]) -> list[str]:
 def _inertial(body: np.ndarray) -> ET.Element:
     mass, com, about = inertia.to_mass_com_inertia(body)
     element = ET.Element("inertial")
-    ET.SubElement(element, "origin", xyz=" ".join(repr(float(c)) for c in com), rpy="0 0 0")
+    ET.SubElement(element, "origin", xyz=number_text(com), rpy="0 0 0")
     ET.SubElement(element, "mass", value=repr(float(mass)))
     ET.SubElement(element, "inertia", {n: repr(float(about[i])) for n, i in inertia.ENTRIES.items()})
     return element

@@ -14,9 +14,9 @@ import pinocchio as pin
 
 from bayesid.errors import InputError
 from bayesid.robot import inertia
-from bayesid.robot.mjcf import compare, load_mujoco
+from bayesid.robot.mjcf import compare, load_mujoco, number_text
 from bayesid.robot.robot import Robot
-from bayesid.robot.urdf import JointDynamics, carried, urdf_text
+from bayesid.robot.urdf import JointDynamics, add_comments, carried, urdf_text
 from bayesid.robot.urdf_file import stated_body
 
 #: Time step of a simulation [s] down to which delays have room for their history.
@@ -106,8 +106,8 @@ def _fix(joint: ET.Element, kind: str, position: float) -> None:
         xyz = xyz + turn @ (position * along)
     else:
         turn = turn @ pin.exp3(position * along)
-    origin.set("xyz", " ".join(repr(float(x)) for x in xyz))
-    origin.set("rpy", " ".join(repr(float(x)) for x in pin.rpy.matrixToRpy(turn)))  # at a pitch of a right angle, too
+    origin.set("xyz", number_text(xyz))
+    origin.set("rpy", number_text(pin.rpy.matrixToRpy(turn)))  # at a pitch of a right angle, too
     joint.set("type", "fixed")
     for tag in ("axis", "limit", "dynamics", "calibration", "safety_controller"):
         for element in joint.findall(tag):
@@ -116,9 +116,7 @@ def _fix(joint: ET.Element, kind: str, position: float) -> None:
 
 def with_comments(root: ET.Element, constants: JointConstants) -> str:
     """The text of a file, with comments on what was identified and the format does not hold."""
-    lines = [f"{name} = {value:.6g} {unit}".rstrip() for name, (value, unit) in constants.beside.items()]
-    for line in reversed(["Identified along, and not part of this model:", *lines] if lines else []):
-        root.insert(0, ET.Comment(f" {line.replace('--', '- -')} "))
+    add_comments(root, "Identified along, and not part of this model:", constants.beside)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
@@ -214,7 +212,7 @@ def _section(root: ET.Element, name: str) -> ET.Element:
 
 def _put(element: ET.Element, values: Mapping[str, Any]) -> None:
     for key, value in values.items():
-        element.set(key, " ".join(repr(float(x)) for x in np.atleast_1d(value)))
+        element.set(key, number_text(value))
 
 
 def sdf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics: JointDynamics) -> str:
