@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 from typing import Any
 
@@ -39,6 +39,12 @@ def did_you_mean(word: str, known: Iterable[str], otherwise: str = "") -> str:
     known = list(known)
     close = get_close_matches(word, known, 1)
     return f"did you mean '{close[0]}'?" if close else otherwise or f"choose one of {', '.join(known)}"
+
+
+def require_one_of(value: str, known: Collection[str], place: str) -> None:
+    """Refuse what is none of the known words with an `InputError` that lists them, for ``place`` such as ``--channel x``."""
+    if value not in known:
+        raise InputError(f"{place}: choose one of {', '.join(known)}")
 
 
 def required(module: str, missing: InputError) -> Any:

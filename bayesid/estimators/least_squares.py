@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import fminbound
 
 from bayesid.argument_types import explains_types
-from bayesid.errors import InputError
+from bayesid.errors import InputError, require_one_of
 from bayesid.estimators.covariance import covariance_middle
 from bayesid.estimators.estimator import Details, Estimate, largest_autocorrelation
 from bayesid.estimators.factor import Factor, reduce_in_coordinates, reduce_whitened, whitened
@@ -167,8 +167,7 @@ def weighted_factor(regression: Regression, weights: Weights, kind: str) -> tupl
 
     The kind is ``none``, ``channel`` or ``noise``, as in `LeastSquares`; an `InputError` for any other.
     """
-    if kind not in _WEIGHTS:
-        raise InputError(f"weights '{kind}': choose one of {', '.join(_WEIGHTS)}")
+    require_one_of(kind, _WEIGHTS, f"weights '{kind}'")
     if kind == "noise":
         return reduce_whitened(regression.rows.blocks(), weights.noise), None
     channels = len(regression.channel_names)

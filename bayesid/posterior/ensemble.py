@@ -18,7 +18,7 @@ from emcee.moves import DEMove, Move, StretchMove
 from numpy.random import mtrand
 from scipy.linalg import cho_solve, solve_triangular
 
-from bayesid.errors import InputError
+from bayesid.errors import InputError, require_one_of
 from bayesid.posterior.model import PosteriorModel
 
 MOVES = ("laplace", "de", "stretch")
@@ -69,8 +69,7 @@ class Ensemble:
     state_type: ClassVar = EnsembleState
 
     def __post_init__(self) -> None:
-        if self.moves not in MOVES:
-            raise InputError(f"moves '{self.moves}': choose one of {', '.join(MOVES)}")
+        require_one_of(self.moves, MOVES, f"moves '{self.moves}'")
         if self.moves != "laplace" and self.dimensions > MOST_DIMENSIONS:
             raise InputError(
                 f"moves '{self.moves}' alone do not mix in {self.dimensions} dimensions (at most {MOST_DIMENSIONS}); "

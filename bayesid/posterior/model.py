@@ -26,7 +26,7 @@ from scipy.linalg import block_diag, get_lapack_funcs, solve_triangular
 
 from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import BaseParameters
-from bayesid.errors import InputError
+from bayesid.errors import InputError, require_one_of
 from bayesid.estimators.dispersion import PARTS
 from bayesid.posterior.likelihood import NOISES, DofPrior, Likelihood, ScalePrior, student_log_likelihood, student_slopes
 from bayesid.posterior.trajectory import COLUMN, ROW, travel
@@ -114,8 +114,7 @@ class PosteriorModel:
         An `InputError` where the noise has no such name, the prior does not fit the links, or the data and a flat prior together
         leave something without any limit.
         """
-        if noise not in NOISES:
-            raise InputError(f"noise '{noise}': choose one of {', '.join(NOISES)}")
+        require_one_of(noise, NOISES, f"noise '{noise}'")
         links = len(regression.base.parameter_names)
         if prior is not None and len(prior.mean) != links:
             raise InputError(f"prior has {len(prior.mean)} parameters, the links have {links}; give one value for each")

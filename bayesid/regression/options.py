@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 from bayesid.argument_types import explains_types
 from bayesid.arguments import argument, names, with_given
-from bayesid.errors import InputError
+from bayesid.errors import InputError, require_one_of
 from bayesid.signals.filters import LowPass
 
 #: Refusal of a verb, to be named, that was given a regression and choices that were made when its rows were.
@@ -56,8 +56,7 @@ class FitOptions:
         object.__setattr__(self, "motions", names(self.motions))
         effects = self.effects.split(",") if isinstance(self.effects, str) else self.effects  # as on the command line
         object.__setattr__(self, "effects", names(effects))
-        if self.static not in STATIC:
-            raise InputError(f"{argument('static', self.static)}: choose one of {', '.join(STATIC)}")
+        require_one_of(self.static, STATIC, argument("static", self.static))
 
     def given(self) -> dict[str, object]:
         """What differs from what is usual, by name."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from bayesid.arguments import argument
 from bayesid.dynamics.channels import Channels, stack_channels, torque_channels, wrench_channels
-from bayesid.errors import InputError
+from bayesid.errors import InputError, require_one_of
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import Table
 from bayesid.regression.segment import LongSegment, Segment
@@ -36,8 +36,7 @@ def make_channels(experiment: Experiment, channel: str) -> Channels:
 
 
 def _require_channel(channel: str) -> None:
-    if channel not in CHANNELS:
-        raise InputError(f"{argument('channel', channel)}: choose one of {', '.join(CHANNELS)}")
+    require_one_of(channel, CHANNELS, argument("channel", channel))
 
 
 def has_readings(table: Table, channel: str) -> bool:

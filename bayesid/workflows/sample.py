@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import cholesky
 
 from bayesid.arguments import argument, with_given
-from bayesid.errors import InputError
+from bayesid.errors import InputError, require_one_of
 from bayesid.estimators import Estimate
 from bayesid.estimators.conic.physical import against_prior
 from bayesid.estimators.estimator import largest_autocorrelation
@@ -184,8 +184,7 @@ def _prior(regression: Regression, prior: str | Prior | None, std: float | None)
         raise InputError(f"{argument('prior_std', std)}: give a positive number, such as 0.3")
     if prior is None:
         prior = "nominal" if regression.knowledge.states_masses and (std or stated) else "flat"
-    if prior not in PRIORS:
-        raise InputError(f"{argument('prior', prior)}: choose one of {', '.join(PRIORS)}")
+    require_one_of(prior, PRIORS, argument("prior", prior))
     if prior == "flat":
         if std is not None:
             raise InputError(

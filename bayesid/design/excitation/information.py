@@ -48,8 +48,9 @@ from bayesid.dynamics.regressors import Kernel
 from bayesid.effects import Effect, MotionSegment
 from bayesid.effects.bodies import body_of
 from bayesid.effects.families import JointTorqueEffect
+from bayesid.effects.flexible import Motion
 from bayesid.effects.sizes import reach
-from bayesid.errors import InputError
+from bayesid.errors import InputError, require_one_of
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.readings import make_channels
 from bayesid.robot.prior import assumed_links
@@ -66,7 +67,6 @@ CRITERIA = {
 _POWER = 8.0
 
 Value = tuple[float, np.ndarray]
-Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 #: Prior standard deviation of an effect's parameter, as a multiple of its typical size: hardly any knowledge.
 _VAGUE = 100.0
 #: Least mass and length of a body as shares of the robot's, for the typical size of its parameters.
@@ -106,8 +106,7 @@ class Criterion:
 
     def __post_init__(self) -> None:
         """Check the name, and that ``quantity`` has quantities; else an `InputError`."""
-        if self.name not in CRITERIA:
-            raise InputError(f"{argument('criterion', self.name)}: choose one of {', '.join(CRITERIA)}")
+        require_one_of(self.name, CRITERIA, argument("criterion", self.name))
         if (self.quantities is None) == (self.name == "quantity"):
             raise InputError(
                 f"{argument('criterion', 'quantity')} goes with {argument('quantities')}: name the quantities, or choose "

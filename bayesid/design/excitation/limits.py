@@ -15,8 +15,8 @@ from bayesid.design.excitation.series import FourierSeries
 from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.regressor_gradient import regressor_gradient
 from bayesid.dynamics.regressors import Kernel
+from bayesid.effects.flexible import Motion
 
-Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 _BLOCK = 4096
 
 

@@ -30,9 +30,10 @@ import numpy as np
 from scipy.optimize import minimize, nnls
 
 from bayesid.design.excitation.information import Criterion, Information, JudgedQuantity
-from bayesid.design.excitation.limits import Limits, Motion
+from bayesid.design.excitation.limits import Limits
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.series import Coordinates, FourierSeries
+from bayesid.effects.flexible import Motion
 from bayesid.tasks import map_tasks, on_cluster
 
 #: What is left of every limit for what lies between samples of torques, wrenches and distances.

@@ -23,9 +23,9 @@ from bayesid.design.excitation.series import Coordinates, FourierSeries, fitted_
 from bayesid.design.reading_noise import SENSOR_SETS, SensorSet, white_noise
 from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.regressors import Kernel
-from bayesid.errors import EstimationError, InputError
+from bayesid.errors import EstimationError, InputError, require_one_of
 from bayesid.recordings.experiment import Experiment
-from bayesid.regression.readings import default_channel, make_channels
+from bayesid.regression.readings import CHANNELS, default_channel, make_channels
 from bayesid.robot.prior import states_masses
 from bayesid.robot.robot import joint_index, motion_limits
 from bayesid.simulation.trajectories import Trajectory
@@ -75,8 +75,7 @@ class Plan:
 def sensor_set_of(experiment: Experiment, options: ExcitationOptions) -> SensorSet:
     """What is read: the channel asked for, or the wrench where there is a sensor."""
     channel = options.channel or default_channel(replace(experiment, motions=()))
-    if channel not in ("wrench", "torque", "both"):
-        raise InputError(f"{argument('channel', channel)}: choose one of wrench, torque, both")
+    require_one_of(channel, CHANNELS, argument("channel", channel))
     if channel == "wrench":
         return SENSOR_SETS["wrench-static" if options.static or options.kind == "liu1998" else "wrench-offset"]
     if options.static:

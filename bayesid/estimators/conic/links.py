@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import cholesky, get_lapack_funcs, null_space, solve_triangular
 from scipy.optimize import brentq, fminbound
 
-from bayesid.errors import InputError
+from bayesid.errors import InputError, require_one_of
 from bayesid.estimators.conic.problem import Conic, Linear, Solution, solve_conic
 from bayesid.estimators.prior_check import Evidence, PriorCheck, compared
 from bayesid.regression.linalg import column_lengths, undetermined
@@ -136,8 +136,7 @@ def link_prior(
     ``data`` and ``evidence`` are what the rows say of link and of base parameters; metric and s are as in `Physical`. An
     `InputError` where an option is unknown, or the prior is for other parameters.
     """
-    if metric not in METRICS:
-        raise InputError(f"sdp metric '{metric}': choose one of {', '.join(METRICS)}")
+    require_one_of(metric, METRICS, f"sdp metric '{metric}'")
     if rel_std is not None and not (np.isfinite(rel_std) and rel_std > 0):
         raise InputError(f"sdp rel_std = {rel_std}: give a number above 0, such as 0.3")
     known = regression.knowledge

@@ -23,7 +23,7 @@ from scipy.stats import chi2
 
 from bayesid.argument_types import explains_types
 from bayesid.arguments import call
-from bayesid.errors import BayesidWarning, EstimationError, InputError
+from bayesid.errors import BayesidWarning, EstimationError, InputError, require_one_of
 from bayesid.estimators.conic.bounds import Bounds
 from bayesid.estimators.conic.links import (
     LinkData,
@@ -239,8 +239,7 @@ class Physical:
         EstimationError
             The solver found nothing whose certificate holds.
         """
-        if self.weights not in _WEIGHTS:
-            raise InputError(f"sdp weights '{self.weights}': choose one of {', '.join(_WEIGHTS)}")
+        require_one_of(self.weights, _WEIGHTS, f"sdp weights '{self.weights}'")
         if self.closest is not None and not 0 < self.closest < 1:
             raise InputError(f"sdp closest = {self.closest}: give a confidence between 0 and 1, such as 0.95")
         learned = learn_weights(regression)
