@@ -79,8 +79,8 @@ def remarks(
         highest = max(x.frequencies[-1] for x in data.segments)
         out.append(
             f"What is named was found up to {highest:.2g} Hz, and shares are of that: with a bandwidth of {part.below:.2g} Hz "
-            "recordings held out in turn are predicted best, and below it better so than by what was found up to "
-            f"{data.settings.band:g} Hz. Above, readings follow no model of rigid links."
+            "recordings held out in turn are predicted best, and there this predicts them better than what, if anything, was "
+            f"found up to {data.settings.band:g} Hz. Above, readings follow no model of rigid links."
         )
     if data.floor_source != WHITE:  # the usual one needs no word
         out.append(SOURCES[data.floor_source])
