@@ -14,10 +14,10 @@ LEVEL = 0.95
 HALF = NormalDist().inv_cdf(0.5 + LEVEL / 2)
 
 
-def number(value: float | None, digits: int = 4) -> str:
-    """A number with so many significant digits, with a power of ten only where it is very small or large."""
+def number(value: float | None, digits: int = 4, otherwise: str = DASH) -> str:
+    """A finite number with so many significant digits, with a power of ten only where it is very small or large."""
     if value is None or not np.isfinite(value):
-        return DASH
+        return otherwise
     if value == 0:
         return "0"
     exponent = int(np.floor(np.log10(abs(float(f"{value:.{digits - 1}e}")))))

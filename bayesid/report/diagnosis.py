@@ -11,13 +11,13 @@ import numpy as np
 from bayesid.arguments import call
 from bayesid.diagnosis.data import WHITE, DiagnosisData, Episode
 from bayesid.diagnosis.description.describe import Description
+from bayesid.diagnosis.detectability import DetectableEffect
 from bayesid.diagnosis.gap import LEAST_GAP
 from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.noise_models import SOURCES
 from bayesid.diagnosis.push import Push
 from bayesid.diagnosis.remarks import by_kind, held_out_text, poses_text
 from bayesid.diagnosis.rivals import Found
-from bayesid.diagnosis.separation import Visible
 from bayesid.drawing import Figures, figures_of
 from bayesid.effects import Effect
 from bayesid.recordings.complaints import listed
@@ -329,9 +329,8 @@ def _visible(d: Diagnosis, views: Views) -> ShownSection:
             "Hardest to tell apart with these motions, by the share of the first one's trace that the second would take over:"
         )
         every = [
-            [v.effect.spec, v.effect.parameters[v.parameter], "never" if v.seen is None else number(v.seen, 2),
-             "never" if v.named is None else number(v.named, 2), unit_text(v.effect.units[v.parameter]),
-             DASH if v.most_collinear is None else v.most_collinear.spec, _near_one(v.share)]
+            [v.effect.spec, v.parameter, number(v.smallest, 2, "never"), number(v.named, 2, "never"), unit_text(v.unit),
+             v.rival or DASH, _near_one(v.share)]
             for v in views.visible
         ]  # fmt: skip
         head = ["effect", "parameter", "seen from", "told apart from", "unit", "looks most like", "share"]
@@ -446,25 +445,25 @@ def _large(value: float) -> str:
 
 def _seen(views: Views) -> ShownTable:
     """One line for each kind of effect: the smallest sizes, over all its places."""
-    groups: dict[tuple[str, str], list[Visible]] = {}
+    groups: dict[tuple[str, str], list[DetectableEffect]] = {}
     for v in views.visible:
-        groups.setdefault((v.effect.name, unit_text(v.effect.units[v.parameter])), []).append(v)
+        groups.setdefault((v.effect.name, unit_text(v.unit)), []).append(v)
     rows = []
     for (name, unit), members in groups.items():
-        best, worst = (pick(members, key=lambda v: np.inf if v.seen is None else v.seen) for pick in (min, max))
-        ends = [v.named for v in members if v.named is not None]
+        best, worst = (pick(members, key=lambda v: v.smallest) for pick in (min, max))
+        ends = [v.named for v in members if np.isfinite(v.named)]
         apart = "never" if not ends else _span(min(ends), max(ends)) + ("" if len(ends) == len(members) else ", or never")
         sizes = [v.usual for v in members]
         rows.append([
-            name, best.effect.summary, best.effect.parameters[best.parameter], _at(best.seen, best, members),
-            _at(worst.seen, worst, members) if len(members) > 1 else "", apart, _span(min(sizes), max(sizes)), unit,
+            name, best.effect.summary, best.parameter, _at(best, members), _at(worst, members) if len(members) > 1 else "",
+            apart, _span(min(sizes), max(sizes)), unit,
         ])  # fmt: skip
     head = ["effect", "what it is", "parameter", "seen from", "hardest place", "told apart from", "a usual size", "unit"]
     return ShownTable(head, rows, "kb w - nb n n nd ku", "tight")
 
 
-def _at(size: float | None, v: Visible, members: Sequence[Visible]) -> str:
-    return ("never" if size is None else number(size, 2)) + (f" ({v.effect.where})" if len(members) > 1 else "")
+def _at(v: DetectableEffect, members: Sequence[DetectableEffect]) -> str:
+    return number(v.smallest, 2, "never") + (f" ({v.effect.where})" if len(members) > 1 else "")
 
 
 def _span(low: float, high: float) -> str:
@@ -476,8 +475,8 @@ def _look_alikes(views: Views) -> list[str]:
     """Pairs of effects that look alike, most alike first."""
     pairs: dict[frozenset[str], str] = {}
     for v in sorted(views.visible, key=lambda v: -v.share):
-        if v.most_collinear is not None and v.seen is not None and v.share > _ALIKE:
-            one, other = v.effect.spec, v.most_collinear.spec
+        if v.rival is not None and np.isfinite(v.smallest) and v.share > _ALIKE:
+            one, other = v.effect.spec, v.rival
             pairs.setdefault(frozenset((one, other)), f"{one} and {other}: {_near_one(v.share)}")
     return list(pairs.values())[:8]
 

@@ -14,10 +14,10 @@ from matplotlib.ticker import MaxNLocator
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.description.columns import SegmentPart, parts_of
 from bayesid.diagnosis.description.describe import Description
+from bayesid.diagnosis.detectability import DetectableEffect, visible
 from bayesid.diagnosis.locate import BANDS, by_band, by_window, places_looked_at
 from bayesid.diagnosis.noise import pose_noise
 from bayesid.diagnosis.push import Push
-from bayesid.diagnosis.separation import Visible, visible
 from bayesid.diagnosis.spectra import SpectralSegment
 from bayesid.diagnosis.validation import residual_spectra
 from bayesid.report.figures import GREY, MEASURED, NOISE, PREDICTED, add_legend, list_rows, make_grid, plain_log, styled
@@ -303,7 +303,7 @@ class Views:
     #: What each picture shows, see their classes.
     panels: tuple[ResidualPanel, ...]
     signals: tuple[SignalView, ...]
-    visible: tuple[Visible, ...]
+    visible: tuple[DetectableEffect, ...]
     changed: bool  # whether a model other than the user's was fitted, so that there is an "after"
 
 

@@ -182,7 +182,7 @@ class Excitation(ShownResult):
             "within_limits": self.within_limits, "limits": [{**asdict(u), "kept": u.kept} for u in self.limits],
             "diagnosability": None if self.diagnosability is None else {
                 "value": self.diagnosability.value, "hidden": self.diagnosability.hidden,
-                "effects": [{**asdict(e), "named": e.named} for e in self.diagnosability.effects],
+                "effects": [{**vars(e), "effect": e.effect.spec} for e in self.diagnosability.effects],
             },
             "quantities": [{"name": name, "unit": unit, "std": std} for name, unit, std in self.quantities],
             "rank": base.rank, "possible_rank": self.possible, "condition_number": self.condition_number,

@@ -28,10 +28,10 @@ def test_known_ambiguities_are_found(planned):
     """Rotors' momentum is links' inertia, in the wrench; the first encoder's zero is the sensor's yaw, both axes upright."""
     *_, shown = planned
     assert {f"rotor_momentum@joint{k}" for k in range(1, 7)} <= set(shown.hidden)
-    by_name = {e.effect: e for e in shown.effects}
+    by_name = {e.effect.spec: e for e in shown.effects}
     zero = by_name["encoder_offset@joint1"]
     assert zero.rival == "sensor_rotation@sensor" and zero.share > 0.9999
-    assert not any(e.effect.startswith("sensor_offset") for e in shown.effects)  # it is in the model
+    assert not any(e.effect.spec.startswith("sensor_offset") for e in shown.effects)  # it is in the model
     assert all(0.0 <= e.share <= 1.0 and e.smallest > 0 and e.named >= e.smallest for e in shown.effects)
 
 
@@ -57,7 +57,7 @@ def test_smallest_delay_is_that_of_the_wrench_rate(planned):
     basis = np.linalg.qr(whole / (np.linalg.norm(whole, axis=0) + 1e-12) @ vectors[:, values > 1e-9])[0]
     rest = rate.ravel() - basis @ (basis.T @ rate.ravel())
     expected = 5.0 / (np.linalg.norm(rest) * np.sqrt(2500.0 / count))
-    assert next(e for e in shown.effects if e.effect == "sensor_delay@sensor").smallest == pytest.approx(expected, rel=0.05)
+    assert next(e for e in shown.effects if e.effect.spec == "sensor_delay@sensor").smallest == pytest.approx(expected, rel=0.05)
 
 
 def test_weight_chooses_among_the_motions_found(tmp_path, monkeypatch):
@@ -78,7 +78,7 @@ def test_a_delay_of_all_torques_is_among_the_effects(tmp_path):
     task, _ = make_task(experiment, ExcitationOptions(channel="torque"))
     series = random_feasible(task.coordinates, task.limits, np.random.default_rng(0), 240)
     shown = diagnosability(experiment, task.information, series, 2500.0)
-    assert "torque_delay@robot" in {e.effect for e in shown.effects}
+    assert "torque_delay@robot" in {e.effect.spec for e in shown.effects}
 
 
 def test_an_offset_that_a_static_run_takes_away_is_not_among_the_effects(tmp_path):
@@ -86,4 +86,4 @@ def test_an_offset_that_a_static_run_takes_away_is_not_among_the_effects(tmp_pat
     task, _ = make_task(experiment, ExcitationOptions(channel="wrench", static=True))
     series = random_feasible(task.coordinates, task.limits, np.random.default_rng(0), 240)
     shown = diagnosability(experiment, task.information, series, 2500.0)
-    assert "sensor_offset@sensor" not in {*shown.hidden, *(e.effect for e in shown.effects)}
+    assert "sensor_offset@sensor" not in {*shown.hidden, *(e.effect.spec for e in shown.effects)}

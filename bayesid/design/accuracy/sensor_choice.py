@@ -24,6 +24,7 @@ from bayesid.design.accuracy.bench import Bench, missing_effects
 from bayesid.design.expected import Expected, rows_of
 from bayesid.design.identifiability import Shown, shown, std_with_prior
 from bayesid.design.reading_noise import SENSOR_SETS
+from bayesid.diagnosis.detectability import IMPLAUSIBLE
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.effects import MotionSegment, Term
@@ -50,8 +51,6 @@ KINDS = {
 _AXES = {"x": 0, "y": 1, "z": 2}
 #: Prior relative standard deviation of nominal links where the experiment does not say.
 USUAL_REL_STD = 0.3
-#: An effect that is seen only from so many times its usual size is not seen; rounding leaves as much.
-_ABSURD = 100.0
 
 
 class _Listed(Section):
@@ -329,4 +328,4 @@ def _effects(
 
     absent = missing_effects(experiment, model)
     lengths = zip(absent, in_order(length, absent), strict=True)
-    return {t.effect.spec: DEFAULT.detected / size if size > DEFAULT.detected / _ABSURD else None for t, size in lengths}
+    return {t.effect.spec: DEFAULT.detected / size if size > DEFAULT.detected / IMPLAUSIBLE else None for t, size in lengths}

@@ -1,9 +1,7 @@
 """Which effects a planned motion could show, how small, and which it could not tell apart.
 
-The trace z of an effect is what it changes at its usual size in all readings, in standard deviations, less what links and the
-effects of the model explain. It stands out by five standard deviations from ``5 / |z|`` times the usual size on, the minimum
-detectable effect (MDE); another effect, with the derivative columns Q of its parameters made orthonormal, explains the share
-``c^2 = |Q' z|^2 / |z|^2`` of it. A motion's diagnosability is
+An effect is seen where it stands out by five standard deviations of the readings. With the minimum detectable effects (MDE) and
+the shares c^2 of their nearest rivals, see `bayesid.diagnosis.detectability`, a motion's diagnosability is
 
     mean log MDE / usual size  +  mean over effects of log 1 / (1 - c^2) / 2
 
@@ -18,6 +16,7 @@ import numpy as np
 
 from bayesid.design.excitation.information import Information
 from bayesid.design.excitation.series import FourierSeries
+from bayesid.diagnosis.detectability import DetectableEffect, detectable_effects
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.effects import Effect, MotionSegment, Term
 from bayesid.effects.exact import columns, readings
@@ -25,38 +24,17 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.regression.linalg import orthonormal_basis
 from bayesid.robot.prior import assumed_links
 
-#: Samples of a period; parts of a trace that count as nothing; shares up to which two traces count as different.
-_SAMPLES, _NOTHING, _SAME = 300, 1e-5, 1.0 - 1e-6
+#: Samples of a period; parts of a trace that count as nothing.
+_SAMPLES, _NOTHING = 300, 1e-5
 #: Shares of the longest column, and of the largest singular value, that count as none, see `orthonormal_basis`.
 _NONE = (1e-9, 1e-8)
-
-
-@dataclass(frozen=True)
-class Detectable:
-    """What a motion could show of one effect."""
-
-    #: The effect and its place, ``name@where``; the parameter that gives its size.
-    effect: str
-    parameter: str
-    unit: str
-    #: A usual size, and the smallest that stands out.
-    usual: float
-    smallest: float
-    #: The effect that explains most of its trace, and how much of it; None and 0 without any other.
-    rival: str | None
-    share: float
-
-    @property
-    def named(self) -> float:
-        """Smallest size that stands out beside the nearest rival; infinite where both leave the same trace."""
-        return self.smallest / float(np.sqrt(1.0 - self.share)) if self.share < _SAME else np.inf
 
 
 @dataclass(frozen=True)
 class Diagnosability:
     """What a motion could show beyond the model."""
 
-    effects: tuple[Detectable, ...]  # one entry an effect and place, those that are seen worst first
+    effects: tuple[DetectableEffect, ...]  # one entry an effect and place, those that are seen worst first
     hidden: tuple[str, ...]  # effects that links or the model's own effects explain wholly, at any size
 
     @property
@@ -77,7 +55,7 @@ def diagnosability(experiment: Experiment, information: Information, series: Fou
     weight = np.sqrt(recorded / _SAMPLES) / information.std
     nothing = readings(robot, channels, segment, links, gravity=gravity)
     nuisance = orthonormal_basis(information.explaining(series, step, _SAMPLES), *_NONE)
-    found: list[tuple[Effect, np.ndarray, np.ndarray]] = []
+    traced: list[tuple[Effect, np.ndarray, np.ndarray]] = []
     hidden = []
     for effect in _library(experiment, information):
         usual = tuple(float(v) for v in effect.typical(robot))
@@ -92,21 +70,9 @@ def diagnosability(experiment: Experiment, information: Information, series: Fou
             hidden.append(effect.spec)
             continue
         own = (parts * weight[:, None]).reshape(len(trace), -1)
-        found.append((effect, rest, orthonormal_basis(own - nuisance @ (nuisance.T @ own), *_NONE)))
-    traces = np.array([rest / np.linalg.norm(rest) for _, rest, _ in found]).reshape(len(found), -1)
-    shares = np.array([np.sum((basis.T @ traces.T) ** 2, axis=0) for *_, basis in found]).reshape(len(found), len(found))
-    np.fill_diagonal(shares, -1.0)
-    out = []
-    for k, (effect, rest, _) in enumerate(found):
-        usual = np.asarray(effect.typical(robot), float)
-        by = int(np.flatnonzero(usual)[0])
-        nearest = int(np.argmax(shares[:, k]))
-        rival, share = (found[nearest][0].spec, float(np.clip(shares[nearest, k], 0.0, 1.0))) if len(found) > 1 else (None, 0.0)
-        size = abs(float(usual[by]))
-        smallest = DEFAULT.detected / float(np.linalg.norm(rest)) * size
-        out.append(Detectable(effect.spec, effect.parameters[by], effect.units[by], size, smallest, rival, share))
-    out.sort(key=lambda e: -e.smallest / e.usual)
-    return Diagnosability(tuple(out), tuple(hidden))
+        traced.append((effect, rest, orthonormal_basis(own - nuisance @ (nuisance.T @ own), *_NONE)))
+    effects = detectable_effects(robot, traced, lambda _: DEFAULT.detected)
+    return Diagnosability(tuple(sorted(effects, key=lambda e: -e.smallest / e.usual)), tuple(hidden))
 
 
 def _library(experiment: Experiment, information: Information) -> list[Effect]:
