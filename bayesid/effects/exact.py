@@ -16,7 +16,7 @@ from bayesid.effects import families
 from bayesid.effects.bodies import body_of, split_matrix
 from bayesid.effects.effect import Effect, Term, with_places
 from bayesid.effects.families import differences
-from bayesid.effects.flexible import Motion
+from bayesid.effects.flexible import MotionArrays
 from bayesid.effects.library import by_number
 from bayesid.effects.model import Model
 from bayesid.effects.segment import MotionSegment
@@ -139,7 +139,7 @@ def _play_columns(model: Model, effect: families.PlayEffect, values: tuple[float
     return out
 
 
-def _moved(motion: Motion, joint: int, change: Motion, by: float) -> Motion:
+def _moved(motion: MotionArrays, joint: int, change: MotionArrays, by: float) -> MotionArrays:
     """A motion of all joints, (N, n) each, with so much of a change of one joint's, (N,) each."""
     parts = [part.copy() for part in motion]
     for part, own in zip(parts, change, strict=True):

@@ -15,7 +15,8 @@ import numpy as np
 
 from bayesid.signals.smoothing import Splines
 
-Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
+#: Positions, velocities and accelerations of joints (N, n) each [rad or m and per second (squared)].
+MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 #: Turns at most, and the change of the motion, relative to that of the first turn, that ends them.
 _TURNS, _SETTLED = 5, 1e-7
@@ -24,13 +25,13 @@ _DAMPING = 0.05
 
 
 def link_motion(
-    motor: Motion,
-    torque: Callable[[Motion, np.ndarray], np.ndarray],
+    motor: MotionArrays,
+    torque: Callable[[MotionArrays, np.ndarray], np.ndarray],
     compliance: np.ndarray,
     inertia: np.ndarray,
     splines: Splines | None,
     stiff: np.ndarray | None = None,
-) -> Motion:
+) -> MotionArrays:
     """Link-side positions, velocities and accelerations, (N, n) each, from those of the motors.
 
     ``torque`` gives the torques (N, k) that a link motion takes of some joints (k,), ``stiff`` those of joints with a
@@ -64,7 +65,7 @@ def link_motion(
     return link
 
 
-def own_inertia(torque: Callable[[Motion, np.ndarray], np.ndarray], positions: np.ndarray, joint: int) -> np.ndarray:
+def own_inertia(torque: Callable[[MotionArrays, np.ndarray], np.ndarray], positions: np.ndarray, joint: int) -> np.ndarray:
     """Inertia that a joint feels at positions (N, n), from the torques that link motions take (N,) [kg m^2 or kg]."""
     held = np.zeros_like(positions)
     turning, only = held.copy(), np.array([joint])

@@ -30,7 +30,7 @@ from bayesid.effects import families
 from bayesid.effects.bodies import body_of, rotor_couple, split_matrix
 from bayesid.effects.effect import Effect, Term
 from bayesid.effects.families import JointMotion, Loads, Readout
-from bayesid.effects.flexible import Motion, link_motion, own_inertia
+from bayesid.effects.flexible import MotionArrays, link_motion, own_inertia
 from bayesid.effects.mount import RigidMountLoad, mount_motion
 from bayesid.effects.play import Behind, Fitting, Recorded, leaning_poses
 from bayesid.effects.segment import MotionSegment
@@ -157,7 +157,7 @@ class Model:
         return motors if self.transmission is None else motors @ self.transmission.T
 
     @cached_property
-    def joint_motion_of_motors(self) -> Motion:
+    def joint_motion_of_motors(self) -> MotionArrays:
         """Where motors hold the joints: positions, velocities, accelerations."""
         q, v, a = (self._at_joints(x) for x in self.motor)
         return q, v, a
@@ -206,7 +206,7 @@ class Model:
         return link_states(robot, q, v, a, root)
 
     @cached_property
-    def held_by_motors(self) -> Motion:
+    def held_by_motors(self) -> MotionArrays:
         """Where motors hold the joints: positions, velocities, accelerations (N, n) each; poses at rest do not move."""
         q, v, a = self.joint_motion_of_motors
         return (q, np.zeros_like(q), np.zeros_like(q)) if self.segment.still else (q, v, a)
@@ -255,18 +255,18 @@ class Model:
         others = tuple(t for t in self._physical if family not in type(t.effect).__mro__)
         return (self.robot.fingerprint, self._pose, self.links.tobytes(), others)
 
-    def link_torque(self, link: Motion, joints: np.ndarray) -> np.ndarray:
+    def link_torque(self, link: MotionArrays, joints: np.ndarray) -> np.ndarray:
         """Torques (N, k) [N m or N] that a link motion takes of some joints (k,)."""
         return self.taken(*_torques_of(self.robot, tuple(map(int, joints))), link)
 
-    def taken(self, channels: Channels, carries: np.ndarray, link: Motion) -> np.ndarray:
+    def taken(self, channels: Channels, carries: np.ndarray, link: MotionArrays) -> np.ndarray:
         """True wrench and link-side torques of some channels (N, c) if links moved so, (N, n) each, on a root at rest."""
         if not (self.of_family(families.RotorEffect) or self.of_family(families.LoadEffect)):
             return readings_of_bodies(self.robot, channels, link, self.row_of, self.bodies, self.gravity, carries)
         states = link_states(self.robot, *link)
         return self._true(channels, carries, states, channel_twists(self.robot, channels, states), own=True)
 
-    def little_play(self, joint: int, lean: Callable[[np.ndarray], np.ndarray]) -> tuple[Motion, ...]:
+    def little_play(self, joint: int, lean: Callable[[np.ndarray], np.ndarray]) -> tuple[MotionArrays, ...]:
         """How the first bit of play moves the link of a joint that has none, by the torque of the motion without it.
 
         ``lean`` takes the joint's torque (M,) [N m or N] to the ways in which its link leans (M, k) [rad or m]; for each way,

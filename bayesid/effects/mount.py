@@ -18,7 +18,7 @@ import numba
 import numpy as np
 
 from bayesid.dynamics.kinematics import link_states
-from bayesid.effects.flexible import Motion
+from bayesid.effects.flexible import MotionArrays
 from bayesid.effects.segment import MotionSegment
 from bayesid.robot.robot import Robot
 from bayesid.signals.smoothing import smooth
@@ -45,8 +45,8 @@ class RigidMountLoad:
 
     @classmethod
     def of(
-        cls, robot: Robot, segment: MotionSegment, motion: Motion, row_of: np.ndarray, links: np.ndarray, gravity: np.ndarray,
-        moment: Callable[[np.ndarray], np.ndarray],
+        cls, robot: Robot, segment: MotionSegment, motion: MotionArrays, row_of: np.ndarray, links: np.ndarray,
+        gravity: np.ndarray, moment: Callable[[np.ndarray], np.ndarray],
     ) -> RigidMountLoad:  # fmt: skip
         """The mount of links that move so: bodies (b, 10), root included, in the frames of their rows of the state (b,)."""
         still = np.zeros((1, robot.n))
@@ -65,7 +65,7 @@ class RigidMountLoad:
 def mount_motion(
     robot: Robot,
     segment: MotionSegment,
-    motion: Motion,
+    motion: MotionArrays,
     load: RigidMountLoad,
     resonance: float,
     damping: float,

@@ -25,7 +25,7 @@ import numba
 import numpy as np
 
 from bayesid.effects.families import PlayEffect
-from bayesid.effects.flexible import Motion
+from bayesid.effects.flexible import MotionArrays
 from bayesid.effects.segment import REST_SPEED
 from bayesid.signals.smoothing import Splines
 
@@ -59,7 +59,7 @@ _POSE_TURNS = 3
 #: Rounds over the joints, where several have play.
 _ROUNDS = 2
 #: From motion and joints to the torques (N, k) that it takes of these (k,).
-Torque = Callable[[Motion, np.ndarray], np.ndarray]
+Torque = Callable[[MotionArrays, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ class Recorded:
     """What is known of the joints at the encoders' own samples."""
 
     encoders: np.ndarray  # where motors hold the joints, as the encoders read it (M, n) [rad or m]
-    smooth: Motion  # that smoothed: positions, velocities and accelerations, (M, n) each [rad or m and per second (squared)]
+    smooth: MotionArrays  # that smoothed (M, n)
     torque: Torque  # that motions at these samples take [N m or N]
     inertia: Callable[[int], np.ndarray]  # that a joint feels (M,) [kg m^2 or kg]
     fitting: Fitting  # what they are fitted with
@@ -138,21 +138,21 @@ class Recorded:
         slowest = self.fitting.splines[0]
         return fit.torque(slowest.motion(slowest.nearest(fit.encoders)))
 
-    def leaning_motion(self, motor: Motion, behind: Mapping[int, Behind]) -> Motion:
+    def leaning_motion(self, motor: MotionArrays, behind: Mapping[int, Behind]) -> MotionArrays:
         """Link-side positions, velocities and accelerations, (N, n) each, of motors' where they are wanted, (N, n) each."""
         link = [part.copy() for part in motor]
         for joint, own in behind.items():
             self._follow(link, motor, self.fitting.wanted, joint, own.values)
         return link[0], link[1], link[2]
 
-    def _follow(self, link: list[np.ndarray], motor: Motion, splines: Splines, joint: int, behind: np.ndarray) -> None:
+    def _follow(self, link: list[np.ndarray], motor: MotionArrays, splines: Splines, joint: int, behind: np.ndarray) -> None:
         """Let a link be where its motor is, less how far it is behind at the samples, smoothed as positions are."""
         change = splines.motion(self.fitting.whole.nearest(behind))
         for mine, old, part in zip(link, motor, change, strict=True):
             mine[:, joint] = old[:, joint] - part
 
 
-def leaning_poses(motor: Motion, play: Sequence[tuple[PlayEffect, Sequence[float]]], torque: Torque) -> Motion:
+def leaning_poses(motor: MotionArrays, play: Sequence[tuple[PlayEffect, Sequence[float]]], torque: Torque) -> MotionArrays:
     """Link-side positions, velocities and accelerations, (N, n) each, where every sample is a pose at rest."""
     behind = np.zeros_like(motor[0])
     for _ in range(_POSE_TURNS):

@@ -15,7 +15,7 @@ import numpy as np
 
 from bayesid.effects.effect import Term
 from bayesid.effects.families import JointMotion, TransmissionEffect
-from bayesid.effects.flexible import Motion
+from bayesid.effects.flexible import MotionArrays
 from bayesid.effects.segment import MotionSegment
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
@@ -66,17 +66,17 @@ class TorqueChain:
             out[:, at] = segment.late(out[:, at], delay)
         return out
 
-    def late_motion(self, segment: MotionSegment, motion: Motion, pose: tuple[Term, ...]) -> Motion:
+    def late_motion(self, segment: MotionSegment, motion: MotionArrays, pose: tuple[Term, ...]) -> MotionArrays:
         """The joints' positions, velocities and accelerations (N, n) at these times; ``pose`` is what they differ by else."""
 
-        def made() -> Motion:
+        def made() -> MotionArrays:
             q, v, a = (self.late(segment, x, {joint: joint for joint in self.joints}) for x in motion)
             return q, v, a
 
         key = ("late", tuple(self.delays.items()), tuple(self.joints), pose)
         return segment.results.get(key, made) if self.delays else motion
 
-    def at_joint(self, segment: MotionSegment, late: Motion, joint: int, load: np.ndarray | None) -> JointMotion:
+    def at_joint(self, segment: MotionSegment, late: MotionArrays, joint: int, load: np.ndarray | None) -> JointMotion:
         """What happens at one joint when its torque is read, from `late_motion` and the load then.
 
         With a delay, friction that reverses within a sample's time is its mean there: of a sign that jumps at a sample there is

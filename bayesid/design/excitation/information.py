@@ -48,7 +48,7 @@ from bayesid.dynamics.regressors import Kernel
 from bayesid.effects import Effect, MotionSegment
 from bayesid.effects.bodies import body_of
 from bayesid.effects.families import JointTorqueEffect
-from bayesid.effects.flexible import Motion
+from bayesid.effects.flexible import MotionArrays
 from bayesid.effects.sizes import reach
 from bayesid.errors import InputError, require_one_of
 from bayesid.recordings.experiment import Experiment
@@ -166,7 +166,7 @@ class Information:
         kernel = Kernel.of(robot, channels, base.independent)
         return cls(robot, channels, sensor_set, base, scale, std, effects, left_out, kernel)
 
-    def matrix(self, motion: Motion, samples: float, step: float) -> np.ndarray:
+    def matrix(self, motion: MotionArrays, samples: float, step: float) -> np.ndarray:
         """Scaled information A (r, r) of a period's even states (n, joints), ``step`` [s] apart, recorded in so many samples.
 
         What is known beforehand is in it.
@@ -174,7 +174,7 @@ class Information:
         rest = self._rest(motion, step)[0]
         return samples / len(motion[0]) * rest.T @ rest + np.eye(rest.shape[1])
 
-    def judged(self, motion: Motion, samples: float, step: float, criterion: Criterion) -> tuple[float, Motion]:
+    def judged(self, motion: MotionArrays, samples: float, step: float, criterion: Criterion) -> tuple[float, MotionArrays]:
         """Value of a criterion and its derivatives with respect to positions, velocities and accelerations (n, joints)."""
         rest, explained, others = self._rest(motion, step)
         weight = samples / len(motion[0])
@@ -196,7 +196,7 @@ class Information:
         others = self._effect_columns(motion, step)
         return np.concatenate([x, others], axis=2).reshape(samples * len(self.std), -1)
 
-    def _rest(self, motion: Motion, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _rest(self, motion: MotionArrays, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Scaled columns X - O B (n c, r), B (o, r) and the columns O (n c, o)."""
         regressor = self.kernel.dynamics(*motion, gravity=self.sensor_set.gravity)
         regressor /= self.std[None, :, None]
@@ -207,7 +207,7 @@ class Information:
         explained = np.linalg.solve(others.T @ others + np.eye(others.shape[1]) / _VAGUE**2, others.T @ x)
         return x - others @ explained, explained, others
 
-    def _effect_columns(self, motion: Motion, step: float) -> np.ndarray:
+    def _effect_columns(self, motion: MotionArrays, step: float) -> np.ndarray:
         """Columns of the effects at their typical sizes, in standard deviations (n, c, o)."""
         times = step * np.arange(len(motion[0]))
         segment = MotionSegment(times, *motion, middle=motion[0].mean(axis=0), cell=step)
@@ -219,7 +219,7 @@ class Information:
             parts.append(columns * np.array(effect.typical(self.robot), float))
         return np.concatenate(parts, axis=2) / self.std[None, :, None]
 
-    def _effects_gradient(self, motion: Motion, step: float, weights: np.ndarray) -> list[np.ndarray]:
+    def _effects_gradient(self, motion: MotionArrays, step: float, weights: np.ndarray) -> list[np.ndarray]:
         """Derivatives of ``sum(weights * O)``: the columns of a sample depend on that sample's motion alone."""
         out = [np.zeros_like(part) for part in motion]
         joints = list(range(motion[0].shape[1]))
@@ -236,7 +236,7 @@ class Information:
                     out[k][:, j] += rate[:, moving & ~own].sum(axis=1)
         return out
 
-    def _differences(self, motion: Motion, step: float, part: int, joints: list[int]) -> np.ndarray:
+    def _differences(self, motion: MotionArrays, step: float, part: int, joints: list[int]) -> np.ndarray:
         """Central differences of O along some joints' positions (part 0), velocities (1) or accelerations (2), (n, c, o)."""
         both = []
         for sign in (1.0, -1.0):

@@ -15,7 +15,7 @@ from bayesid.design.excitation.series import FourierSeries
 from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.regressor_gradient import regressor_gradient
 from bayesid.dynamics.regressors import Kernel
-from bayesid.effects.flexible import Motion
+from bayesid.effects.flexible import MotionArrays
 
 _BLOCK = 4096
 
@@ -30,11 +30,11 @@ class LoadLimit:
     links: np.ndarray  # ten parameters a body (b, 10)
     kernel: Kernel  # the regressor's, of all link parameters
 
-    def ratios(self, motion: Motion) -> np.ndarray:
+    def ratios(self, motion: MotionArrays) -> np.ndarray:
         """Readings as shares of their largest magnitude (N, c), with their signs."""
         return (self.kernel.readings(*motion, self.links) + self.channels.static_wrench) / self.most
 
-    def gradient(self, motion: Motion, weights: np.ndarray) -> Motion:
+    def gradient(self, motion: MotionArrays, weights: np.ndarray) -> MotionArrays:
         """Derivatives of ``sum(weights * ratios)`` with respect to the motion."""
         scaled = (weights / self.most)[:, :, None] * self.links.ravel()
         return regressor_gradient(self.kernel, *motion, scaled)
@@ -64,7 +64,7 @@ class Limits:
         """Half of the joints' ranges (n,)."""
         return 0.5 * (self.upper - self.lower)
 
-    def ratios(self, motion: Motion) -> list[np.ndarray]:
+    def ratios(self, motion: MotionArrays) -> list[np.ndarray]:
         """Ratios of samples, signed: positions, velocities, accelerations (N, n), then loads and distances (N, ...)."""
         q, v, a = motion
         m = self.moving
@@ -74,7 +74,7 @@ class Limits:
             out.append(self.clearance.ratios(q))
         return out
 
-    def gradient(self, motion: Motion, weights: list[np.ndarray]) -> Motion:
+    def gradient(self, motion: MotionArrays, weights: list[np.ndarray]) -> MotionArrays:
         """Derivatives of ``sum(weights * ratios)`` with respect to the motion."""
         m = self.moving
         out = [np.zeros_like(part) for part in motion]

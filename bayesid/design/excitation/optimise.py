@@ -33,7 +33,7 @@ from bayesid.design.excitation.information import Criterion, Information, Judged
 from bayesid.design.excitation.limits import Limits
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.series import Coordinates, FourierSeries
-from bayesid.effects.flexible import Motion
+from bayesid.effects.flexible import MotionArrays
 from bayesid.tasks import map_tasks, on_cluster
 
 #: What is left of every limit for what lies between samples of torques, wrenches and distances.
@@ -122,7 +122,7 @@ def restored(limits: Limits, coordinates: Coordinates, x: np.ndarray, margin: fl
 
 
 def _active(
-    limits: Limits, coordinates: Coordinates, motion: Motion, ratios: list[np.ndarray], margin: float
+    limits: Limits, coordinates: Coordinates, motion: MotionArrays, ratios: list[np.ndarray], margin: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the Jacobian (k, count) of ratios near their limits, signed so that they must not grow, and the room left (k,)."""
     rows, room = [], []
