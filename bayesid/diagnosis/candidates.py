@@ -300,7 +300,7 @@ def make_library(
     """
     data, at = projector.data, found or base
     around = surroundings(data)
-    effects = everywhere(data) if effects is None else tuple(effects)
+    effects = data.experiment.possible_effects(data.channels.names) if effects is None else tuple(effects)
     found_, rows = [], []
     for effect in effects:
         for about in effect.linearisations(around) if effect.sought(around) else ():
@@ -326,15 +326,10 @@ def column_terms(data: DiagnosisData) -> list[tuple[Term, Linearisation]]:
     around, users = surroundings(data), {t.effect.spec for t in data.terms}
     return [
         (Term(effect, tuple(map(float, about.at))), about)
-        for effect in everywhere(data)
+        for effect in data.experiment.possible_effects(data.channels.names)
         if effect.spec not in users and effect.sought(around)
         for about in effect.linearisations(around)
     ]
-
-
-def everywhere(data: DiagnosisData) -> tuple[Effect, ...]:
-    """Every effect that acts on the channels compared, at every place."""
-    return tuple(effect for name in data.experiment.library.classes for effect in data.places(name))
 
 
 def surroundings(data: DiagnosisData) -> Surroundings:

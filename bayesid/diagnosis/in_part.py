@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesid.diagnosis.candidates import column_terms, everywhere, make_library, surroundings
+from bayesid.diagnosis.candidates import column_terms, make_library, surroundings
 from bayesid.diagnosis.choice import Choice
 from bayesid.diagnosis.data import DiagnosisData, residual_rows
 from bayesid.diagnosis.fit import FEW_STEPS, SWEEPS, begin, differs_from_zero, distance, finish, fit, is_another
@@ -289,7 +289,7 @@ def _exact(s: Search) -> Iterator[_Candidate]:
     """Effects that may be no more than another one, at the shapes that fit exactly beside those of the best attempt."""
     data, around = s.projector.data, surroundings(s.projector.data)
     users, taken = s.best.terms[: len(s.base.terms)], {t.effect for t in s.best.terms}
-    for effect in everywhere(data):
+    for effect in data.experiment.possible_effects(data.channels.names):
         linear = np.array([p.linear for p in effect.quantities])
         if effect in taken or not (_confirmable(effect) and _needs_exact_fit(effect) and effect.sought(around)):
             continue

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from bayesid.argument_types import explains_types
 from bayesid.arguments import argument, call
 from bayesid.drawing import Plots
+from bayesid.effects.effect import Effect
 from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import Finding, columns_of, listed
@@ -371,6 +372,11 @@ class Experiment(Plots):
         """Indices of the joints whose torques every recording of torques has; all joints where no torques were recorded."""
         known = [set(motion.table.torque_joints) for motion in self.motions if motion.table.torques is not None]
         return tuple(sorted(set.intersection(*known))) if known else tuple(range(self.robot.n))
+
+    def possible_effects(self, channels: Sequence[str]) -> tuple[Effect, ...]:
+        """Every effect of the library that acts on one of these channels, by their names, at every place."""
+        places, joints = self.library.places, self.robot.joint_names
+        return tuple(e for name in self.library.classes for e in places(name, joints, channels, self.gear_ratio))
 
     def with_model(self, path: str | Path) -> Experiment:
         """Return this experiment with a model.toml in place of its ``[model]``.

@@ -158,13 +158,8 @@ def make_bench(
 
 def missing_effects(experiment: Experiment, row_model: RowModel) -> tuple[Term, ...]:
     """Every effect of the library that acts on the channels and is not in the model, at every place, of usual size."""
-    robot, known, names = experiment.robot, {e.spec for e in row_model.effects}, row_model.channels.names
-    return tuple(
-        Term(effect, tuple(effect.typical(robot)))
-        for name in experiment.library.classes
-        for effect in experiment.library.places(name, robot.joint_names, names, experiment.gear_ratio)
-        if effect.spec not in known
-    )
+    known, possible = {e.spec for e in row_model.effects}, experiment.possible_effects(row_model.channels.names)
+    return tuple(Term(e, tuple(e.typical(experiment.robot))) for e in possible if e.spec not in known)
 
 
 def true_solution(bench: Bench, problem: Problem) -> np.ndarray:
@@ -255,9 +250,8 @@ def twin(bench: Bench, setting: Setting, seed: int) -> Experiment:
 
 def _offsets(bench: Bench) -> tuple[Effect, ...]:
     """Constants of a sensor that every model has unless a static run removes them."""
-    experiment, names = bench.experiment, bench.problem.row_model.channels.names
-    classes = [c for c in experiment.library.classes.values() if c.estimated_without_static_run]
-    return tuple(e for c in classes for e in experiment.library.places(c.name, experiment.robot.joint_names, names))
+    possible = bench.experiment.possible_effects(bench.problem.row_model.channels.names)
+    return tuple(e for e in possible if e.estimated_without_static_run)
 
 
 def _model(bench: Bench, setting: Setting) -> dict:

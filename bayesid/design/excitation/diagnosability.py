@@ -77,11 +77,9 @@ def diagnosability(experiment: Experiment, information: Information, series: Fou
 
 def _library(experiment: Experiment, information: Information) -> list[Effect]:
     """Every effect that the library has for these readings, at each of its places, but those of the model."""
-    library, own = experiment.library, {e.spec for e in information.effects}
-    out: list[Effect] = []
-    for name, c in library.classes.items():
-        if c.once or c.columns_of is not None or (c.removed_by_static_run and not information.sensor_set.gravity):
-            continue
-        found = library.places(name, experiment.robot.joint_names, information.channels.names, experiment.gear_ratio)
-        out += [e for e in found if e.spec not in own and any(e.typical(experiment.robot))]
-    return out
+    own, gravity = {e.spec for e in information.effects}, information.sensor_set.gravity
+    return [
+        e for e in experiment.possible_effects(information.channels.names)
+        if not e.once and e.columns_of is None and (gravity or not e.removed_by_static_run)
+        and e.spec not in own and any(e.typical(experiment.robot))
+    ]  # fmt: skip

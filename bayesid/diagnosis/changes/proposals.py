@@ -88,16 +88,15 @@ def make_proposals(problem: Problem, links: np.ndarray) -> tuple[ChangeProposal,
     )  # fmt: skip
     known = {e.spec for e in model.effects}
     out = []
-    for name, kind in experiment.library.classes.items():
-        if issubclass(kind, BodyEffect) or kind.once or any(p.lasting for p in kind.quantities):
+    for effect in experiment.possible_effects(model.channels.names):
+        if isinstance(effect, BodyEffect) or effect.once or any(p.lasting for p in effect.quantities):
             continue
-        for effect in experiment.library.places(name, robot.joint_names, model.channels.names, experiment.gear_ratio):
-            if effect.spec in known or not effect.sought(around):
-                continue
-            for about in effect.linearisations(around):
-                active = sizes_of(effect, about, robot) > 0.0
-                if active.any():
-                    out.append(ChangeProposal(effect, about, active))
+        if effect.spec in known or not effect.sought(around):
+            continue
+        for about in effect.linearisations(around):
+            active = sizes_of(effect, about, robot) > 0.0
+            if active.any():
+                out.append(ChangeProposal(effect, about, active))
     return tuple(out)
 
 
