@@ -52,7 +52,7 @@ def channel_groups(s: Search) -> tuple[ChannelGroup, ...]:
     data = scaled(s.projector.data, left[1])
     weight, names = np.sqrt(left[1] / left[0]), np.array(data.channels.names)
     out = []
-    for members, mask in _together(_acting(s, weight)):
+    for members, mask in _alike(_acting(s, weight)):
         if not mask.any():  # it changes nothing
             out.append(ChannelGroup(tuple(s.found[n].term.effect.spec for n in members), (), 0.0))
             continue
@@ -81,18 +81,10 @@ def _acting(s: Search, weight: np.ndarray) -> np.ndarray:
     return np.array(out)
 
 
-def _together(acting: np.ndarray) -> list[tuple[list[int], np.ndarray]]:
-    """Effects that share a channel, directly or by way of others, and the channels of each such group (c,)."""
-    groups: list[tuple[list[int], np.ndarray]] = []
-    for n, mask in enumerate(acting):
-        mine, rest = ([n], mask), []
-        for members, own in groups:
-            if (own & mine[1]).any():
-                mine = (members + mine[0], own | mine[1])
-            else:
-                rest.append((members, own))
-        groups = [*rest, mine]
-    return groups
+def _alike(acting: np.ndarray) -> list[tuple[list[int], np.ndarray]]:
+    """Effects that act in the same channels, and these (c,)."""
+    masks = list(dict.fromkeys(map(tuple, acting)))
+    return [([n for n, own in enumerate(acting) if tuple(own) == mask], np.array(mask)) for mask in masks]
 
 
 #: An effect at the values where its columns are taken, and how amplitudes become values.
