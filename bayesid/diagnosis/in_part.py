@@ -5,8 +5,8 @@ that and if recordings that are held out in turn are predicted better with it: t
 without it is above zero. What is left of the gap then is the remainder.
 
 How much of the gap effects close counts in the channels that they act in, where much stays elsewhere: that other joints do what
-no model has says nothing against an effect in this one. So effects are judged together with those that act in the same channels,
-by the errors of these channels alone on recordings held out in turn.
+no model has says nothing against an effect in this one. So each effect is judged by what all of them close in the channels that
+it acts in itself, on recordings held out in turn.
 
 The search is then shown with white noise of the power that was measured. Beside what no model explains, effects are proven with
 every frequency counted alike (`bayesid.diagnosis.held_out`). Noise that is measured frequency by frequency would then tell

@@ -86,7 +86,7 @@ class CoulombFriction(JointTorqueEffect):
     wanders = True
     equation = "$l\\,\\mathrm{sign}\\,\\dot q$, a ramp below 0.001 rad/s (m/s)"
     source = _ARMSTRONG
-    quantities = (Parameter("level", "N m", lower=0.0, typical=partial(sizes.effort, share=0.05)),)
+    quantities = (Parameter("level", "N m", never_negative=True, typical=partial(sizes.effort, share=0.05)),)
     confusable_with = ("viscous_friction", "stribeck_friction", "load_friction")
     urdf_dynamics = "friction"
     column_in_time = "sampled"

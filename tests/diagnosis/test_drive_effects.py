@@ -75,31 +75,38 @@ def test_two_kinds_of_friction_in_a_joint_are_not_taken_for_a_third(bench, level
         assert (np.abs(np.array(own.term.values) - truth) < 4.0 * own.std).all()
 
 
-@pytest.mark.parametrize("extra", ["viscous_friction", "stribeck_friction"])
-def test_what_a_drive_compensates_is_named_with_its_sign_and_friction_that_falls_is_not_taken_for_it(tmp_path, extra):
-    """Viscous friction is negative where readings lack more of it than the joint has; `identify` of sdp keeps it possible."""
+@pytest.mark.parametrize(
+    ("usual", "extra"),
+    [
+        ({"coulomb_friction": {"level": 6.0}}, {"viscous_friction": {"coefficient": -4.0}}),
+        ({"viscous_friction": {"coefficient": 4.0}}, {"coulomb_friction": {"level": -4.0}}),
+        ({"coulomb_friction": {"level": 6.0}}, {"stribeck_friction": {"level": 4.0, "velocity": 0.2}}),
+    ],
+    ids=["viscous", "coulomb", "falls with speed"],
+)
+def test_what_a_drive_compensates_is_named_with_its_sign_and_friction_that_falls_is_not_taken_for_it(tmp_path, usual, extra):
+    """Friction is negative where readings lack more of it than the joint has; `identify` of sdp keeps it possible."""
     setup = replace(puma_setup(tmp_path), effects=(), inertia_rel_std=0.03)
     motions = [
         bayesid.fourier_trajectory(setup.robot, name, role, duration=14.0, seed=seed)
         for seed, (name, role) in enumerate([("one", "identification"), ("two", "validation")], 1)
     ]
-    hidden = {
-        "coulomb_friction@joint1": {"level": 6.0},
-        "coulomb_friction@joint2": {"level": 6.0},
-        f"{extra}@joint2": {"coefficient": -4.0} if extra == "viscous_friction" else {"level": 4.0, "velocity": 0.2},
-    }
+    ((kind, values),) = extra.items()
+    hidden = {f"{name}@{joint}": own for name, own in usual.items() for joint in ("joint1", "joint2")}
+    hidden[f"{kind}@joint2"] = values
     recorded = bayesid.simulate(setup, motions, effects=hidden, perturb=0.03, seed=6)
     found = diagnose(recorded, "torque")
     assert {f.term.effect.spec for f in found.found} == set(hidden)
-    told = any("viscous_friction@joint2 is negative, as no joint's friction is" in x for x in found.remarks)
-    assert told == (extra == "viscous_friction")
+    told = any(f"{kind}@joint2 is negative, as no joint's friction is" in x for x in found.remarks)
+    assert told == (min(values.values()) < 0.0)
     if told:
-        (own,) = (f for f in found.found if f.term.effect.name == extra)
+        (own,) = (f for f in found.found if f.term.effect.spec == f"{kind}@joint2")
         assert abs(own.term.values[0] + 4.0) < 3.0 * own.std[0]
-        effects, values = found.model
-        kept = bayesid.identify(replace(recorded, effects=effects, effect_values=values), method="sdp", channel="torque")
+        effects, at = found.model
+        kept = bayesid.identify(replace(recorded, effects=effects, effect_values=at), method="sdp", channel="torque")
         every = kept.estimate.parameters()
-        assert dict(zip(every.names, every.values, strict=True))["viscous_friction@joint2.coefficient"] >= -1e-6
+        (name,) = values
+        assert dict(zip(every.names, every.values, strict=True))[f"{kind}@joint2.{name}"] >= -1e-6
 
 
 def test_friction_of_three_kinds_in_all_joints_is_one_thing_that_is_missing(bench):

@@ -18,7 +18,7 @@ from bayesid.diagnosis.data import FAR, model_rows, residual_rows
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.forward import unrelated
 from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, predicts_better, scaled
-from bayesid.diagnosis.in_part import ChannelGroup, InPart, _exact, _together
+from bayesid.diagnosis.in_part import ChannelGroup, InPart, _alike, _exact
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import held_out_text, remarks
@@ -352,11 +352,11 @@ def test_joints_that_move_in_some_motion():
     assert moving(robot, []).tolist() == [False] * 3
 
 
-def test_effects_that_share_a_channel_are_judged_together():
-    """Chains of shared channels too: the first and the last effect meet by way of the third."""
-    acting = np.array([[1, 0, 0, 0], [0, 1, 1, 0], [1, 1, 0, 0], [0, 0, 0, 1]], bool)
-    groups = {tuple(sorted(members)): tuple(map(int, np.flatnonzero(mask))) for members, mask in _together(acting)}
-    assert groups == {(0, 1, 2): (0, 1, 2), (3,): (3,)}
+def test_effects_are_judged_with_those_that_act_in_the_same_channels():
+    """One that acts in all of them, as a tether, keeps none of the others from being judged where it acts itself."""
+    acting = np.array([[1, 0, 0, 0], [0, 1, 1, 0], [1, 1, 1, 1], [1, 0, 0, 0]], bool)
+    groups = {tuple(members): tuple(map(int, np.flatnonzero(mask))) for members, mask in _alike(acting)}
+    assert groups == {(0, 3): (0,), (1,): (1, 2), (2,): (0, 1, 2, 3)}
 
 
 def test_an_imitation_that_leaves_much_is_not_named(diagnosis):
