@@ -17,11 +17,13 @@ from bayesid.diagnosis.changes.findings import ReferenceComparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis, SharedAmplitudes, hypotheses, warming_columns
 from bayesid.diagnosis.changes.proposals import make_proposals, with_proposals
 from bayesid.diagnosis.changes.recording import read_recording
-from bayesid.diagnosis.changes.reference import learn_reference
+from bayesid.diagnosis.changes.reference import LearnedParameters, learn_reference
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES, WANDER_FACTORS
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.effects import EffectLibrary, JointTorqueEffect, Parameter, Term
 from bayesid.effects.friction import CoulombFriction
+from bayesid.estimators.covariance import Middle
+from bayesid.estimators.factor import Factor
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
@@ -393,6 +395,46 @@ def test_what_a_joint_shows_only_where_it_stands_is_no_change(arm):
     assert found.verdict == "nothing_missing"
 
 
+def test_what_is_learned_is_the_posterior_and_its_error_has_the_covariance_stated():
+    """Against stacked least squares and dense algebra, with columns that rows do not show or hardly show."""
+    rng = np.random.default_rng(8)
+    x, mean, sizes = rng.normal(size=(60, 5)), rng.normal(size=5), np.array([0.5, 1.0, 2.0, 3.0, 4.0])
+    x[:, 3], x[:, 4] = 0.0, 1e-6 * x[:, 4]
+    y = x @ np.array([1.0, -2.0, 3.0, 4.0, 5.0]) + rng.normal(size=60)
+    factor = Factor(np.linalg.qr(np.column_stack([x, y]), mode="r"), 60)
+    found = LearnedParameters.of(factor, Middle(None, 4.0), mean, sizes)
+    whole = np.vstack([x / 2.0, np.diag(1.0 / sizes)])
+    assert found.mean == pytest.approx(np.linalg.lstsq(whole, np.concatenate([y / 2.0, mean / sizes]))[0], rel=1e-9)
+    assert found.covariance == pytest.approx(np.linalg.inv(whole.T @ whole), rel=1e-9, abs=1e-12)
+    noise = 0.6 ** np.abs(np.subtract.outer(np.arange(60), np.arange(60)))  # that weights know nothing of
+    found = LearnedParameters.of(factor, Middle(x.T @ noise @ x, 2.0), mean, sizes)
+    gain = np.linalg.solve(x.T @ x + 2.0 * np.diag(sizes**-2.0), x.T)
+    missed = np.eye(5) - gain @ x
+    error = gain @ noise @ gain.T + missed @ np.diag(sizes**2) @ missed.T
+    assert found.covariance == pytest.approx(error, rel=1e-9, abs=1e-12)
+
+
+def test_what_a_creeping_joint_hardly_shows_is_no_gap(arm):
+    """Of a joint that creeps in the reference least squares has any friction: it left 10,000 times what the joint takes."""
+
+    def recorded(seed, speed):
+        times, *motion = fourier(arm, seed, duration=15.0, rate=100.0)
+        for values in motion:
+            values[:, 5] *= speed
+        table = recording(arm, None, (times, *motion), seed=seed, torque_std=0.1, resolution=1e-5)
+        friction = VISCOUS * motion[1] + COULOMB * np.clip(motion[1] / 1e-3, -1.0, 1.0)
+        table = Table(times=times, positions=table.positions, torques=table.torques + friction)
+        return experiment(arm, [Motion("run", "identification", table)])
+
+    before, after = recorded(1, 1e-3), recorded(2, 1.0)
+    found = bayesid.diagnose(after, reference=before)
+    assert found.verdict == "nothing_missing"
+    later = found.comparison.recording
+    left = np.sqrt(np.mean(later.left[later.channel == 5] ** 2)) * later.scale[5] / np.sqrt(later.samples)
+    assert after.motions[0].table.torques is not None
+    assert left < np.linalg.norm(after.motions[0].table.torques[:, 5]) / np.sqrt(1500)
+
+
 def test_rows_with_proposals_are_the_models_with_columns_beside(tmp_path):
     """Also of a mount that gives, whose drive is smoothed to what encoders show."""
     robot, mount = puma2(tmp_path), {"resonance": 8.0, "damping": 0.05}
@@ -512,7 +554,9 @@ def test_a_reference_that_has_not_settled_stays_where_its_equations_hold(tmp_pat
     solution = np.concatenate([reference.solution[: problem.row_model.base.rank], point.values])
     for name, value in wild.items():
         solution[len(solution) - len(names) + names.index(name)] = value
-    point = replace(reference, problem=problem, estimate=replace(reference.estimate, solution=solution)).point
+    made = replace(reference, problem=problem)
+    vars(made)["_posterior"] = LearnedParameters(solution, np.eye(len(solution)), np.eye(len(solution)))
+    point = made.point
     assert [point.values[names.index(name)] for name in wild] == [0.0, 1e-3, -1.0]  # a linear equation holds everywhere
 
 

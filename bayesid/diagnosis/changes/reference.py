@@ -22,15 +22,18 @@ import numpy as np
 
 from bayesid.arguments import argument
 from bayesid.diagnosis.changes.proposals import ChangeProposal, make_proposals, with_proposals
-from bayesid.diagnosis.changes.scales import wander
+from bayesid.diagnosis.changes.scales import SIZES, wander
 from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects import Effect, Point, middle_of
+from bayesid.effects.bodies import body_of
 from bayesid.errors import InputError
-from bayesid.estimators import Estimate
+from bayesid.estimators.covariance import Middle, covariance_middle
+from bayesid.estimators.factor import Factor
+from bayesid.estimators.least_squares import weighted_factor
 from bayesid.estimators.nonlinear import solve
 from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.experiment import Experiment
-from bayesid.regression.linalg import or_one, pseudo_inverse, unshown
+from bayesid.regression.linalg import or_one, pseudo_inverse
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, absorbed_offset, prepare
 from bayesid.regression.rows import make_blocks
@@ -44,10 +47,34 @@ _FAINT, _SINGULAR = 1e-4, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
+class LearnedParameters:
+    """What weighted rows leave of a prior: independent parameters x with expected values m and standard deviations.
+
+    With ``A = X'WX``, the dispersion k and the prior's covariance D that is ``m + B X'W (y - X m)``, ``B = (A + k D^-1)^-1``. Its
+    error is what noise makes, of covariance ``B M B`` with the middle M of the sandwich, less ``k B D^-1 (x - m)``.
+    """
+
+    mean: np.ndarray  # of the parameters (p,)
+    covariance: np.ndarray  # theirs (p, p)
+    bread: np.ndarray  # B (p, p)
+
+    @classmethod
+    def of(cls, factor: Factor, middle: Middle, mean: np.ndarray, sizes: np.ndarray) -> LearnedParameters:
+        """By the factor of weighted rows, the sandwich's middle, and the prior's mean and standard deviations (p,)."""
+        left, s, axes = np.linalg.svd(factor.matrix * sizes)  # in sizes, where the prior is the same along all axes
+        k, axes = middle.dispersion, sizes[:, None] * axes.T
+        target = factor.target - factor.matrix @ mean
+        bread = (axes / (k + s**2)) @ axes.T
+        free = axes * (k / (k + s**2))
+        noise = k * factor.matrix.T @ factor.matrix if middle.matrix is None else middle.matrix
+        return cls(mean + axes @ (s / (k + s**2) * (left.T @ target)), bread @ noise @ bread + free @ free.T, bread)
+
+
+@dataclass(frozen=True, eq=False)
 class ReferenceAmplitudes:
     """What the reference says of effects that its model does not have."""
 
-    carried: np.ndarray  # S, how its estimate moves with each column's amplitude (p, z)
+    carried: np.ndarray  # S, how its estimate moves with each column's amplitude, and what is usual holds it (p, z)
     #: ``Z_'WZ_`` and ``Z_'W Sigma W Z_`` (z, z).
     gram: np.ndarray
     middle: np.ndarray
@@ -55,30 +82,29 @@ class ReferenceAmplitudes:
 
     @classmethod
     def of(
-        cls, problem: Problem, point: Point, solution: np.ndarray, proposals: tuple[ChangeProposal, ...]
+        cls, problem: Problem, point: Point, fit: LearnedParameters, proposals: tuple[ChangeProposal, ...]
     ) -> ReferenceAmplitudes:
         """Ask the reference, by its fit, about proposed effects."""
         weights = learn_weights(problem.regression)
         model = with_proposals(problem.row_model, point, proposals)
-        p = len(solution)
+        p = len(fit.mean)
         gram, middle = np.zeros((2, model.base.rank + model.extra_columns + 1, model.base.rank + model.extra_columns + 1))
         for block in make_blocks(model, problem.fitted_segments):
             noise = weights.noise[block.group]
             rows = block.rows.copy()
-            rows[:, :, -1] -= rows[:, :, :p] @ solution
+            rows[:, :, -1] -= rows[:, :, :p] @ fit.mean
             white = (rows / noise.std[:, None]).reshape(-1, rows.shape[2])
             coloured = noise.colour_transposed(rows / noise.std[:, None] ** 2).reshape(-1, rows.shape[2])
             gram += white.T @ white
             middle += weights.dispersion * coloured.T @ coloured
         length = or_one(np.sqrt(np.diag(gram)[:p]))
         inverse = pseudo_inverse(gram[:p, :p] / np.outer(length, length), 1e-12) / np.outer(length, length)
-        carried = inverse @ gram[:p, p:-1]
-        away = np.vstack([-carried, np.eye(carried.shape[1])])
+        away = np.vstack([-inverse @ gram[:p, p:-1], np.eye(gram.shape[1] - p - 1)])
         inner = away.T @ gram[:-1, :-1] @ away
         faint = np.diag(inner) < _SEEN**2 * np.diag(gram)[p:-1]
         inner[faint] = inner[:, faint] = 0.0
         target = away.T @ gram[:-1, -1]
-        return cls(carried, inner, away.T @ middle[:-1, :-1] @ away, np.where(faint, 0.0, target))
+        return cls(fit.bread @ gram[:p, p:-1], inner, away.T @ middle[:-1, :-1] @ away, np.where(faint, 0.0, target))
 
     def amplitudes(self, columns: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Amplitudes of the proposals' columns (k,) in the reference, mean (k,) and a root of their covariance (k, k).
@@ -108,9 +134,7 @@ _FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
 class Reference:
     """A robot in its known state."""
 
-    #: The fit to the reference recording.
-    problem: Problem
-    estimate: Estimate
+    problem: Problem  # the fit to the reference recording
 
     @property
     def robot(self) -> Robot:
@@ -124,8 +148,11 @@ class Reference:
 
     @property
     def solution(self) -> np.ndarray:
-        """Base parameters, then effect parameters (p,)."""
-        return self.estimate.solution
+        """Base parameters, then effect parameters (p,), of usual sizes along what the recording hardly shows.
+
+        There, such as of a joint that creeps, a fit by least squares has any values, and predicts any torques of a later motion.
+        """
+        return self._posterior.mean
 
     @cached_property
     def left(self) -> np.ndarray:
@@ -161,27 +188,35 @@ class Reference:
     @cached_property
     def lacking(self) -> ReferenceAmplitudes:
         """What the reference says of effects that its model does not have."""
-        return ReferenceAmplitudes.of(self.problem, self.point, self.solution, self.proposals)
-
-    @cached_property
-    def covariance(self) -> np.ndarray:
-        """Covariance of `solution` (p, p), dispersion included; as vague as bodies and effects are where it says nothing."""
-        covariance, hidden = self.estimate.stated_covariance(), self.estimate.undetermined
-        if not hidden.any():
-            return covariance
-        # Sums of hidden parameters that the data determine, such as a load's weight and a drive's offset, stay as they are.
-        size = self._vague
-        open_, _ = np.linalg.qr(unshown(covariance, hidden) / size[:, None])
-        return covariance + (size[:, None] * open_) @ (size[:, None] * open_).T
+        return ReferenceAmplitudes.of(self.problem, self.point, self._posterior, self.proposals)
 
     @property
-    def _vague(self) -> np.ndarray:
-        """Size of each parameter (p,)."""
-        model = self.problem.row_model
-        links = Prior.nominal(with_sizes(self.robot.nominal), 2.0**0.5).covariance
-        base = np.sqrt(np.einsum("ij,jk,ik->i", model.base.matrix, links, model.base.matrix))
-        typical = np.array([abs(t) for e in model.effects for t in e.typical(self.robot)])
-        return or_one(np.concatenate([base, typical[model.free]]), 0.0)
+    def covariance(self) -> np.ndarray:
+        """Covariance of `solution` (p, p), dispersion included; as vague as bodies and effects are where it says nothing."""
+        return self._posterior.covariance
+
+    @cached_property
+    def _posterior(self) -> LearnedParameters:
+        """What the fit leaves of a prior as wide as changes are: three typical sizes, about nominal links without friction.
+
+        Inertias hold rotors, too, of which a URDF says nothing.
+        """
+        model, places = self.problem.row_model, self.problem.experiment.library.places
+        links = Prior.nominal(with_sizes(self.robot.nominal), max(SIZES))
+        spread = links.covariance.copy()
+        for rotor in places("rotor_inertia", self.robot.joint_names, model.channels.names):
+            body = 10 * body_of(self.robot, rotor.joint)
+            for k in (4, 6, 9):  # Ixx, Iyy, Izz
+                spread[body + k, body + k] += (max(SIZES) * rotor.typical(self.robot)[0]) ** 2
+        sizes = np.sqrt(np.einsum("ij,jk,ik->i", model.base.matrix, spread, model.base.matrix))
+        effects = np.array([x for e in model.effects for x in zip(e.starts, e.typical(self.robot), strict=True)]).reshape(-1, 2)
+        starts, typical = effects[model.free].T
+        regression = self.problem.regression
+        weights = learn_weights(regression)
+        factor, scale = weighted_factor(regression, weights, "channel")
+        middle = covariance_middle(regression, weights, scale, factor)
+        mean = np.concatenate([model.base.matrix @ links.mean, starts])
+        return LearnedParameters.of(factor, middle, mean, or_one(np.concatenate([sizes, max(SIZES) * np.abs(typical)]), 0.0))
 
     def wanders(self, friction: bool) -> np.ndarray:
         """Standard deviation of each parameter from one recording to another (p,): of friction, or of drive gains."""
@@ -216,4 +251,4 @@ def learn_reference(
         raise InputError(
             f"{argument('reference', experiment.name)}: nothing says how sure its fit is, for {estimate.interval_reason}"
         )
-    return Reference(problem, estimate)
+    return Reference(problem)
