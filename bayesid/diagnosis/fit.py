@@ -71,6 +71,8 @@ class Fit:
     score: float  # see the module
     covariance: np.ndarray  # of the effects' free parameters in the order of ``terms`` (k, k), the links' uncertainty included
     determined: np.ndarray  # whether the data tell each of them from the others (k,)
+    #: Changes of them that the data do not show (k, m), each as large as one of them is known that shows alone, or one unit.
+    unshown: np.ndarray
     free: tuple[tuple[int, int], ...]  # (term, parameter) of each of them
     coordinates: np.ndarray  # the links and the offset in the coordinates of `NuisanceProjector` (size,)
     residual: np.ndarray  # whitened rows (rows,)
@@ -268,13 +270,15 @@ def finish(now: Iterate) -> Fit:
     safe = np.where(_alive(length, jacobian), length, np.inf)
     values, vectors = _eigen((kept / safe).T @ (kept / safe))
     determined = np.sum(vectors**2, axis=1) > 1.0 - _HIDDEN**2
+    silent = np.linalg.qr(vectors, mode="complete")[0][:, len(values) :]
+    unshown = silent / np.where(np.isfinite(safe), safe, 1.0)[:, None]
     covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
     covariance = _widened(projector, covariance, kept, rows)
     cost = price(data, projector.rows, terms, free, kept)
     score = -0.5 * chi2 - 0.5 * projector.volume - cost if possible else -np.inf
     out = Fit(
-        projector, terms, links, offset, chi2, len(values), score, covariance, determined, free, now.coordinates, rows,
-        derivatives,
+        projector, terms, links, offset, chi2, len(values), score, covariance, determined, unshown, free, now.coordinates,
+        rows, derivatives,
     )  # fmt: skip
     return replace(out, score=-np.inf) if possible and any(is_another(out, k) for k in range(len(terms))) else out
 

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from bayesid.diagnosis.contacts import is_excuse
 from bayesid.diagnosis.data import term_rows
-from bayesid.diagnosis.fit import SWEEPS, Fit, fit, wald_evidence
+from bayesid.diagnosis.fit import SWEEPS, Fit, fit, squared_distance, wald_evidence
 from bayesid.diagnosis.forward import State, exact_fits, in_family, is_surrogate_combination
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.projector import orthonormal
@@ -185,7 +185,7 @@ def explained(base: Fit, best: Fit) -> float:
 
 
 _DRAWN = 5000
-#: Standard deviation of what is not shown, in SI units: nothing is known of it.
+#: How uncertain is what is not shown, in units of `Fit.unshown`: nothing is known of it.
 _HIDDEN = 1e2
 
 
@@ -199,20 +199,17 @@ def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]
     if (name := term.effect.may_be) is None or not np.isfinite(fitted.score):
         return term, 0.0
     at = [column for column, (owner, _) in enumerate(fitted.free) if owner == index]
-    values, covariance = np.array(term.values), dispersion * fitted.covariance[np.ix_(at, at)]
+    values, hidden = np.array(term.values), _HIDDEN * fitted.unshown[at]
     # What the data do not show, as all inertia of poses at rest, is whatever a possible body needs, and little.
-    shown = np.diag(covariance) > 0.0
-    size = np.sqrt(np.where(shown, np.diag(covariance), _HIDDEN**2))
-    spread, axes = np.linalg.eigh((covariance / np.outer(size, size))[np.ix_(shown, shown)])
-    spread = np.maximum(spread, max(1e-9 * spread[-1], 1e-300))
-    known = np.diag(size**2)
-    known[np.ix_(shown, shown)] = (axes * spread) @ axes.T * np.outer(size[shown], size[shown])
+    covariance = dispersion * fitted.covariance[np.ix_(at, at)] + hidden @ hidden.T
+    size = np.sqrt(np.diag(covariance))
     try:
-        body = nearest_body(np.where(shown, values, 0.0), known)
+        body = nearest_body(values, covariance)
     except EstimationError:
         return term, 0.0
-    distance = np.sum((axes.T @ ((body - values) / size)[shown]) ** 2 / spread)
-    if chi2.sf(distance, len(spread)) < 1.0 - fitted.projector.data.settings.interval:
+    distance = squared_distance((body - values) / size, covariance / np.outer(size, size))
+    count = len(at) - np.linalg.matrix_rank(hidden / size[:, None], 0.1)
+    if chi2.sf(distance, count) < 1.0 - fitted.projector.data.settings.interval:
         return term, 0.0
     data = fitted.projector.data
     effect = next(e for e in data.places(name) if e.where == term.effect.where)

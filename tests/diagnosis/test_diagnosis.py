@@ -423,11 +423,40 @@ def test_a_payload_is_as_rare_as_changes_of_what_a_sensor_weighs(tmp_path):
         score=0.0,
         free=[(0, k) for k in range(10)],
         covariance=1e-8 * np.eye(10),
+        unshown=np.zeros((10, 0)),
         projector=SimpleNamespace(data=data),
     )
     term, bonus = rivals.as_payload(found, 0, 1.0)
     assert term.effect.spec == "payload@joint6"
     assert bonus == rivals._rarity(robot.nominal[-1]) != rivals._rarity(robot.nominal[5])
+
+
+def test_a_payload_is_one_whatever_combinations_are_not_shown(tmp_path):
+    """Their values are those of least squares of least norm: far from a body's, and they say nothing against it."""
+    robot = load_robot(write(tmp_path, ur5()))
+    library = EffectLibrary()
+
+    def places(name):
+        return library.places(name, robot.joint_names, ("tau1", "tau2"))
+
+    data = SimpleNamespace(robot=robot, links=robot.nominal.ravel(), places=places, settings=DEFAULT)
+    body, size = np.array([10.0, 1.0, -0.5, 0.3, 0.4, 0.02, 0.6, -0.01, 0.03, 0.5]), np.full(10, 0.1)
+    axes = np.linalg.qr(np.random.default_rng(4).normal(size=(10, 10)))[0]
+    seen = axes[:, 2:] @ axes[:, 2:].T  # two combinations are not shown
+    values = size * (seen @ (body / size))
+    assert np.linalg.eigvalsh(inertia.pseudo_inertia(values))[0] < -1.0
+
+    def told(of: np.ndarray) -> str:
+        change = Term(next(e for e in places("inertia_error") if e.where == "joint2"), tuple(of))
+        found = SimpleNamespace(
+            terms=(change,), score=0.0, free=[(0, k) for k in range(10)], covariance=seen * np.outer(size, size),
+            unshown=size[:, None] * axes[:, :2],
+            projector=SimpleNamespace(data=data),
+        )  # fmt: skip
+        return rivals.as_payload(found, 0, 1.0)[0].effect.name
+
+    assert told(values) == "payload"
+    assert told(-values) == "inertia_error"  # nothing was taken off that the link does not have
 
 
 def test_a_changed_link_is_priced_by_its_marginal_likelihood(record):
