@@ -23,6 +23,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.fft import idct
+from scipy.stats import chi2
 
 from bayesid.diagnosis.data import DiagnosisData, Episode, active_terms
 from bayesid.diagnosis.fit import Fit
@@ -60,6 +61,13 @@ class Push(Episode):
     #: Standard deviations of the values (8,).
     std: np.ndarray = field(default_factory=lambda: np.zeros(8), compare=False, repr=False)
     evidence: float = field(default=0.0, compare=False)  # log evidence that it adds
+
+    def differs_from_zero(self, interval: float) -> bool:
+        """Whether the mean force does, outside of an interval of such a probability about it.
+
+        A force that turns over within its interval is what play or friction makes where a joint turns, and no push.
+        """
+        return bool(np.sum((np.array(self.values[2:5]) / self.std[2:5]) ** 2) > chi2.ppf(interval, 3))
 
     def to_dict(self) -> dict:
         """The entry ``course`` of an effect in ``diagnosis.json``."""
@@ -195,7 +203,8 @@ def find_push(user: Fit, best: Fit | None = None) -> Push | None:
     anything = 0.5 * (plain - volume) / correlated - (0.5 * channels * length + 1.0) * price / correlated
     if evidence < data.settings.accept or evidence <= anything:
         return None
-    return _described(moments, k, place, inside, float(evidence))
+    push = _described(moments, k, place, inside, float(evidence))
+    return push if push.differs_from_zero(data.settings.interval) else None
 
 
 def measured_push(push: Push, data: DiagnosisData, model: Fit) -> Push:

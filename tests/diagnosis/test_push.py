@@ -142,13 +142,22 @@ def whole(folder, times, positions):
     return carried(folder, times, positions, np.array([8.0, -6.0, 7.0]) + 3.0 * wavers)
 
 
+def turning(folder, times, positions):
+    """As much forth as back within a third of a second, as play knocks where a joint turns."""
+    inside = np.clip((times - START) / 0.32, 0.0, 1.0)
+    return carried(folder, times, positions, np.sin(2.0 * np.pi * inside)[:, None] * np.array([8.0, -6.0, 7.0]))
+
+
 @pytest.mark.parametrize(
     "options",
-    [{}, {"fitted": no_point}, {"fitted": whole}, {"fitted": whole, "unseen": whole}, {"fitted": pushed, "motions": 1}],
-    ids=["nothing", "no point", "all the time", "in every motion", "no other motion"],
-)
+    [
+        {}, {"fitted": no_point}, {"fitted": whole}, {"fitted": whole, "unseen": whole}, {"fitted": pushed, "motions": 1},
+        {"fitted": turning},
+    ],
+    ids=["nothing", "no point", "all the time", "in every motion", "no other motion", "forth and back"],
+)  # fmt: skip
 def test_what_is_no_push_is_refused(recorded, options):
-    """Nothing at all; what no point on a link explains; what is no interval; what no motion without it speaks for."""
+    """Nothing; what no point on a link explains; no interval; no motion without it that speaks for it; no force in the mean."""
     assert sought(recorded(**options))[1] is None
 
 
