@@ -39,12 +39,12 @@ class DetectableEffect:
 
 
 def detectable_effects(
-    robot: Robot, traced: Sequence[tuple[Effect, np.ndarray, np.ndarray]], needed: Callable[[int], float], limit: float = np.inf
+    robot: Robot, traced: Sequence[tuple[Effect, np.ndarray, np.ndarray]], needed: Callable[[int], float]
 ) -> tuple[DetectableEffect, ...]:
     """What can be seen of every effect, from its trace (N,) and an orthonormal basis (N, k) of its columns.
 
     An effect of several shapes stands there once for each, and its first one counts. ``needed`` is the length of a trace that is
-    seen [standard deviations], by the number k; ``limit`` is the multiple of a usual size from which on none is plausible.
+    seen [standard deviations], by the number k.
     """
     if not traced:
         return ()
@@ -61,7 +61,7 @@ def detectable_effects(
         size, share = abs(float(usual[by])), float(np.clip(shares[nearest, k], 0.0, 1.0))
         seen = needed(basis.shape[1]) / float(lengths[k]) if lengths[k] * size > 0.0 else np.inf
         apart = seen / float(np.sqrt(1.0 - share)) if share <= _SAME else np.inf
-        smallest, named = (size * multiple if multiple < limit else np.inf for multiple in (seen, apart))
+        smallest, named = (size * multiple if multiple < IMPLAUSIBLE else np.inf for multiple in (seen, apart))
         rival = str(specs[nearest]) if specs[nearest] != effect.spec else None
         found = DetectableEffect(effect, effect.parameters[by], effect.units[by], size, smallest, rival, share, named)
         out.setdefault(effect.spec, found)
@@ -78,6 +78,4 @@ def visible(library: Library, dispersion: float) -> tuple[DetectableEffect, ...]
         (b.effect, b.rows @ b.about.to_amplitudes(np.array(b.effect.typical(data.robot), float)),
          orthonormal_basis(b.rows, 1e-7, 1e-6)) for b in library.blocks
     ]  # fmt: skip
-    return detectable_effects(
-        data.robot, traced, lambda k: least_visible(data.settings, k, projector.rows, dispersion), IMPLAUSIBLE
-    )
+    return detectable_effects(data.robot, traced, lambda k: least_visible(data.settings, k, projector.rows, dispersion))

@@ -220,7 +220,7 @@ def _effects(result: Excitation) -> list[ShownSection]:
     if found is None or not found.effects:
         return []
     rows = [
-        [e.effect.spec, e.parameter, number(e.usual, 2), (number(e.smallest, 2), "good" if e.smallest <= e.usual else "fair"),
+        [e.effect.spec, e.parameter, number(e.usual, 2), (number(e.smallest, 2, "never"), "good" if e.smallest <= e.usual else "fair"),
          e.unit, e.rival or DASH, percent(e.share), number(e.named, 2, "never")]
         for e in found.effects
     ]  # fmt: skip

@@ -87,3 +87,20 @@ def test_an_offset_that_a_static_run_takes_away_is_not_among_the_effects(tmp_pat
     series = random_feasible(task.coordinates, task.limits, np.random.default_rng(0), 240)
     shown = diagnosability(experiment, task.information, series, 2500.0)
     assert "sensor_offset@sensor" not in {*shown.hidden, *(e.effect.spec for e in shown.effects)}
+
+
+def test_what_only_rounding_shows_does_not_choose_a_motion(tmp_path):
+    """The zero of an encoder about a vertical axis changes no torque: it counts as a hundred, whatever rounding leaves of it."""
+    experiment = experiment_of("puma560", tmp_path)
+    task, _ = make_task(experiment, ExcitationOptions(channel="torque"))
+    values = []
+    for recorded in (2500.0, 250000.0):
+        series = random_feasible(task.coordinates, task.limits, np.random.default_rng(0), 240)
+        shown = diagnosability(experiment, task.information, series, recorded)
+        zero = next(e for e in shown.effects if e.effect.spec == "encoder_offset@joint1")
+        assert zero.smallest == zero.named == np.inf
+        values.append(shown.value)
+    # A hundred times the samples show a tenth of each size, and nothing of what is rounding.
+    seen = [e.smallest / e.usual for e in shown.effects if np.isfinite(e.smallest)]
+    expected = sum(np.log(min(10.0 * size, 100.0) / size) for size in seen) / len(shown.effects)
+    assert values[0] - values[1] == pytest.approx(expected)

@@ -5,7 +5,8 @@ the shares c^2 of their nearest rivals, see `bayesid.diagnosis.detectability`, a
 
     mean log MDE / usual size  +  mean over effects of log 1 / (1 - c^2) / 2
 
-(smaller is better): the mean logarithm of the size from which each effect is seen for itself and not for its nearest rival.
+(smaller is better): the mean logarithm of the size from which each effect is seen for itself and not for its nearest rival. Both
+the size and what the rival makes of it count as a hundred at most: beyond that they are rounding.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from bayesid.design.excitation.information import Information
 from bayesid.design.excitation.series import FourierSeries
-from bayesid.diagnosis.detectability import DetectableEffect, detectable_effects
+from bayesid.diagnosis.detectability import IMPLAUSIBLE, DetectableEffect, detectable_effects
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.effects import Effect, MotionSegment, Term
 from bayesid.effects.exact import columns, readings
@@ -39,9 +40,12 @@ class Diagnosability:
 
     @property
     def value(self) -> float:
-        """The mean logarithm of sizes, see the module; those with a rival of the same trace count as seen only."""
-        sizes = [(e.named if np.isfinite(e.named) else e.smallest) / e.usual for e in self.effects]
-        return float(np.mean(np.log(sizes))) if sizes else 0.0
+        """The mean logarithm of sizes, see the module."""
+        if not self.effects:
+            return 0.0
+        seen = np.array([e.smallest / e.usual for e in self.effects])
+        left = np.array([1.0 - e.share for e in self.effects])
+        return float(np.mean(np.log(np.minimum(seen, IMPLAUSIBLE)) - np.log(np.maximum(left, IMPLAUSIBLE**-2.0)) / 2.0))
 
 
 def diagnosability(experiment: Experiment, information: Information, series: FourierSeries, recorded: float) -> Diagnosability:
