@@ -19,7 +19,7 @@ from bayesid.recordings.table import usual_step
 from bayesid.regression.readings import has_readings, readings_of, rests, stated_noise
 from bayesid.signals.arrays import runs
 from bayesid.signals.repeats import find_rests
-from bayesid.signals.smoothing import smooth
+from bayesid.signals.smoothing import degrees_of_freedom, smooth
 from bayesid.signals.white_noise import low_passed, quiet_noise
 
 #: Poses for each column that is fitted to them, at least, before what is left is taken for noise.
@@ -62,10 +62,11 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
     sensor = {still: quiet_noise(read) for still, read in readings.items()}
     moving = [s for s in everything if not s.still]
     count = _encoder_counts(data, moving)
-    smooth_ = [smooth(s.times, s.encoders, s.trajectory.bandwidth)[0] for s in moving]
-    error = np.sqrt(np.mean([np.mean((s.encoders - q) ** 2, axis=0) for s, q in zip(moving, smooth_, strict=True)], axis=0))
-    random = np.sqrt(np.maximum(error**2 - count**2 / 12.0, 0.0))
-    random = np.where(random > 0.5 * count, random, 0.0)
+    # What is more than a count's rounding is random: less than half a count of it may be most of an encoder's error.
+    left = [s.encoders - smooth(s.times, s.encoders, s.trajectory.bandwidth)[0] for s in moving]
+    free = sum(degrees_of_freedom(s.times, s.trajectory.bandwidth) for s in moving)
+    variance = sum(np.sum(x**2, axis=0) for x in left) / max(free, 1)
+    random = np.sqrt(np.maximum(variance - count**2 / 12.0, 0.0))
     if data.experiment.position_std is not None:
         random = np.full(data.robot.n, data.experiment.position_std)
 

@@ -21,7 +21,7 @@ from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import LongSegment, Segment
-from bayesid.signals.smoothing import DEGREE, Smoother, smooth
+from bayesid.signals.smoothing import Smoother, degrees_of_freedom, smooth
 
 #: Neighbouring errors are taken for independent up to this correlation of the residuals.
 LARGEST_CORRELATION = 0.3
@@ -58,14 +58,13 @@ def measure(segments: Sequence[Segment | LongSegment], bandwidth: float, most: n
     size = _PIECE if total > _WHOLE else max(total, 1)
     pieces = [(r, a) for r in moving for a in range(0, r.count, size)]
     for r in (r.part(a, min(a + size, r.count)) for r, a in pieces[:: max(total // _MEASURED, 1)]):
-        functions = int((r.times[-1] - r.times[0]) * 2 * bandwidth) + DEGREE + 1
-        if len(r.times) <= functions:
+        own = degrees_of_freedom(r.times, bandwidth)
+        if own <= 0:
             continue
         residual = r.positions - smooth(r.times, r.positions, bandwidth)[0]
         power += np.sum(residual**2, axis=0)
         product += np.sum(residual[1:] * residual[:-1], axis=0)
-        # A spline through N samples takes as many degrees of freedom as it has functions.
-        free += len(r.times) - functions
+        free += own
     std = np.maximum(np.minimum(np.sqrt(power / max(free, 1)), most), least)
     return EncoderNoise(std, product / np.maximum(power, 1e-300))
 

@@ -83,6 +83,11 @@ def smooth(
     return q, v, a
 
 
+def degrees_of_freedom(times: np.ndarray, bandwidth: float) -> int:
+    """Those of what the spline leaves of samples at times (N,) [s]: it takes as many as it has functions."""
+    return len(times) - int((times[-1] - times[0]) * 2 * bandwidth) - _ORDER
+
+
 def _fitted(times: np.ndarray, positions: np.ndarray, bandwidth: float) -> tuple[np.ndarray, float]:
     """Coefficients of the spline (functions, n), and the first knot in units of their spacing."""
     spacing = 0.5 / bandwidth
@@ -175,8 +180,7 @@ def _chosen(
     samples = sum(map(len, times))
     scores, errors = [], []
     for bandwidth in candidates:
-        functions = sum(int((t[-1] - t[0]) * 2 * bandwidth) + _ORDER for t in times)
-        free = max(samples - functions, 1)
+        free = max(sum(degrees_of_freedom(t, bandwidth) for t in times), 1)
         left = np.sum([left_of[k, bandwidth] for k in group], axis=0)
         variance = np.maximum(left / free, max(0.25 * floor, 1e-20))
         errors.append(np.sqrt(variance))
