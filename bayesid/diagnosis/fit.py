@@ -411,14 +411,14 @@ def distance(best: Fit, index: int) -> tuple[float, int]:
     own = np.array([(column, k) for column, (owner, k) in enumerate(best.free) if owner == index], int).reshape(-1, 2)
     at, free = own.T
     sizes, determined = np.array([effect.parameters[k] in (linear or shape) for k in free], bool), best.determined[at]
-    if shape and not determined[sizes].all():
+    if shape and not effect.once and not determined[sizes].all():
         if linear or not determined.any():
             return 0.0, int(sizes.sum())  # another shape would do with any size
         at, free, sizes = at[determined], free[determined], sizes[determined]
     values, covariance = np.array(term.values)[free], best.covariance[np.ix_(at, at)]
     half = norm.ppf(0.5 + 0.5 * settings.interval) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     low, high = (np.array(end)[free] for end in (effect.lower, effect.upper))
-    if sizes.all() or not np.all((values - half >= low) & (values + half <= high) | sizes):
+    if sizes.all() or not (effect.once or np.all((values - half >= low) & (values + half <= high) | sizes)):
         return squared_distance(values[sizes], covariance[np.ix_(sizes, sizes)]), int(sizes.sum())
     return float(values[sizes] @ _precision(covariance)[np.ix_(sizes, sizes)] @ values[sizes]), len(own)
 
