@@ -56,8 +56,7 @@ class Choice:
 
     def evidence(self, kept: Sequence[int], index: int) -> float:
         """Log evidence that one of the effects kept adds to the others."""
-        others = [*self.users, *(k for k in kept if k != index)]
-        return float(0.5 * (self.sums.cost(others) - self.sums.cost([*others, index])) - self.sums.prices[index])
+        return self.gain([k for k in kept if k != index], kept)
 
     def without_unproven(self, kept: list[int], before: np.ndarray) -> list[int]:
         """Leave out the effect whose loss costs least on held-out recordings until all of them are proven."""
@@ -103,14 +102,14 @@ class Choice:
         In place of a single one only where it contains that one (`Effect.comes_after`), as coupled friction contains friction of
         its joint; other exchanges of one for one are `replaced`.
         """
-        cost, now, best = self.sums.cost([*self.users, *kept]), self.squares(kept), (self.settings.accept, kept)
+        now, best = self.squares(kept), (self.settings.accept, kept)
         for k in others:
             out = [x for x in kept if self.effects[k].excludes(self.effects[x])]
             contains_them = len(out) > 1 or any(self.effects[k].comes_after(self.effects[x]) for x in out)
             if not contains_them or any(self.effects[k].spec == self.effects[x].spec for x in out):
                 continue
             more = [*(x for x in kept if x not in out), k]
-            gain = 0.5 * (cost - self.sums.cost([*self.users, *more])) - self.price_of([k]) + self.price_of(out)
+            gain = self.gain(kept, more)
             if gain >= best[0] and possible(more, k) and self.share_low(now, self.squares(more), before) > 0.0:
                 best = gain, more
         return best[1]
@@ -126,9 +125,10 @@ class Choice:
         return float(self.sums.prices[list(effects)].sum())
 
     def with_a_family(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int]:
-        """One kind of effect added at every joint that shows it, where the data demand them together.
+        """One kind of effect added at every joint that shows it, where the data demand it at all of its joints together.
 
-        Beside what friction of five other joints leaves, that of the sixth is small.
+        Beside what friction of five other joints leaves, that of the sixth is small; and where they have it, it is likely to have
+        it, too. So those of the kind that are kept already are part of the hypothesis.
         """
         open_ = self.beside(kept, others)
         gains = dict(zip(open_, self.sums.evidence([*self.users, *kept], open_), strict=True)) if open_ else {}
@@ -136,14 +136,19 @@ class Choice:
         for k in sorted(open_, key=lambda k: gains[k]):  # of one place the best values come last
             if self.effects[k].at == "joint" and gains[k] > 0.0:
                 families.setdefault(self.effects[k].name, {})[self.effects[k].where] = k
-        cost, now, best = self.sums.cost([*self.users, *kept]), self.squares(kept), (self.settings.accept, kept)
-        for members in families.values():
-            more = [*kept, *members.values()]
-            gain = 0.5 * (cost - self.sums.cost([*self.users, *more])) - self.price_of(list(members.values()))
-            if gain >= best[0] and all(possible(more, k) for k in members.values()):
+        now, best = self.squares(kept), (0.0, kept)
+        for name, members in families.items():
+            more, rest = [*kept, *members.values()], [k for k in kept if self.effects[k].name != name]
+            gain, whole = (self.gain(without, more) for without in (kept, rest))
+            if gain > best[0] and whole >= self.settings.accept and all(possible(more, k) for k in members.values()):
                 if self.share_low(now, self.squares(more), before) > 0.0:
                     best = gain, more
         return best[1]
+
+    def gain(self, fewer: Sequence[int], more: Sequence[int]) -> float:
+        """Log evidence of a model with effects over one with fewer, or others."""
+        cost, less = (self.sums.cost([*self.users, *effects]) for effects in (fewer, more))
+        return float(0.5 * (cost - less)) - self.price_of(more) + self.price_of(fewer)
 
     def from_columns(self, kept: list[int], others: Sequence[int]) -> list[int]:
         """The best attempt's effects by the library's columns of the same, which say as much and tell values from anywhere."""

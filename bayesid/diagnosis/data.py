@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -74,6 +74,9 @@ class DiagnosisData:
     floor_source: str = WHITE
     #: The noise of moving readings where it was measured by frequency, on repeats or at rest.
     spectrum: NoiseSpectrum | None = None
+    #: What encoders' errors, as an effect passes them on, add to chi-squared by each of its `fitted_values`, of effects that make
+    #: much more of them: the derivative of the expected value, where the noise was made (k,).
+    misread: Mapping[Effect, np.ndarray] = field(default_factory=dict)
     held: frozenset[str] = frozenset()  # effects of the user's model, ``name@where``, whose values are kept
     #: Validation motions that cannot be compared, and why.
     skipped: tuple[tuple[str, str], ...] = ()

@@ -155,7 +155,9 @@ def _stepped(now: Iterate) -> Iterate:
     scale = np.where(alive, length, np.inf)
     settled = _SETTLED * left_over
     scaled, left = kept / scale, projector.project_out(stacked)
-    gram, pull = scaled.T @ scaled, scaled.T @ left
+    # Of chi2 no model explains what encoders' errors are expected to add to it: to first order about where noise was made.
+    misread = _misread(now)
+    gram, pull = scaled.T @ scaled, scaled.T @ left + 0.5 * misread / scale
     limits = _at_limits(terms, free)
     # What is left if the readings are linear: a fit that comes down to just that is done, and its values are a
     # hundredth of their standard deviation from the best ones.
@@ -175,8 +177,9 @@ def _stepped(now: Iterate) -> Iterate:
             moved = u + np.linalg.solve(projector.r, projector.q.T @ back)
         rows, prior = projector.residual(moved, trial), projector.prior_residual(moved)
         chi2 = float(rows @ rows + prior @ prior)
-        if now.chi2 - chi2 > -settled:
-            done = now.chi2 - chi2 < settled or abs(chi2 - least) < close
+        cost = chi2 - float(misread @ taken)
+        if now.chi2 - cost > -settled:
+            done = now.chi2 - cost < settled or abs(cost - least) < close
             return replace(
                 now, terms=trial, coordinates=moved, rows=rows, prior=prior, chi2=chi2, steps=now.steps + 1,
                 damping=0.1 * damping if damping > 1e-7 else 0.0, settled=done and exact,
@@ -184,6 +187,15 @@ def _stepped(now: Iterate) -> Iterate:
             )  # fmt: skip
         damping = max(10.0 * damping, 1e-4)
     return replace(now, settled=True, derivatives=derivatives, exact=True) if exact else anew
+
+
+def _misread(now: Iterate) -> np.ndarray:
+    """How chi-squared is expected to change by encoders' errors alone, by free parameter (k,)."""
+    misread, values = now.projector.data.misread, np.zeros(len(now.free))
+    for index, t in enumerate(now.terms):
+        at = [column for column, (owner, _) in enumerate(now.free) if owner == index]
+        values[at] = misread.get(t.effect, 0.0)
+    return values
 
 
 def _derivatives(
