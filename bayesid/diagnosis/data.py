@@ -74,9 +74,9 @@ class DiagnosisData:
     floor_source: str = WHITE
     #: The noise of moving readings where it was measured by frequency, on repeats or at rest.
     spectrum: NoiseSpectrum | None = None
-    #: What encoders' errors, as an effect passes them on, add to chi-squared by each of its `fitted_values`, of effects that make
-    #: much more of them: the derivative of the expected value, where the noise was made (k,).
-    misread: Mapping[Effect, np.ndarray] = field(default_factory=dict)
+    #: What encoders' errors are expected to add to the right side of the normal equations (k,), by effects that make much more of
+    #: them and their values, where the noise was made.
+    attenuation: Mapping[Effect, np.ndarray] = field(default_factory=dict)
     held: frozenset[str] = frozenset()  # effects of the user's model, ``name@where``, whose values are kept
     #: Validation motions that cannot be compared, and why.
     skipped: tuple[tuple[str, str], ...] = ()

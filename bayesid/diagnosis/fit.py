@@ -74,6 +74,7 @@ class Fit:
     #: Changes of them that the data do not show (k, m), each as large as one of them is known that shows alone, or one unit.
     unshown: np.ndarray
     free: tuple[tuple[int, int], ...]  # (term, parameter) of each of them
+    bias: np.ndarray  # expected error of each by `DiagnosisData.attenuation` (k,), to first order; the values hold it
     coordinates: np.ndarray  # the links and the offset in the coordinates of `NuisanceProjector` (size,)
     residual: np.ndarray  # whitened rows (rows,)
     derivatives: Mapping[Effect, Derivatives]  # of the readings, by effect that is fitted
@@ -89,10 +90,24 @@ class Fit:
         return self.chi2 < self.projector.data.settings.unexplained * self.projector.rows
 
     def std(self, index: int, dispersion: float) -> np.ndarray:
-        """Standard deviations of one term's free parameters, by its index; infinite where the data do not determine them."""
-        at = [column for column, (owner, _) in enumerate(self.free) if owner == index]
-        std = np.sqrt(np.maximum(dispersion * np.diag(self.covariance)[at], 0.0))
+        """Standard deviations of one term's free parameters, by its index; infinite where the data do not determine them.
+
+        An expected error that is taken out (`unbiased`) is known about to its own size.
+        """
+        at = self.columns_of(index)
+        std = np.sqrt(np.maximum(dispersion * np.diag(self.covariance)[at], 0.0) + self.bias[at] ** 2)
         return np.where(self.determined[at], std, np.inf)
+
+    def unbiased(self, index: int) -> Term:
+        """One term, by its index, with the expected error taken out of its values."""
+        at = self.columns_of(index)
+        change = np.zeros(len(self.free))
+        change[at] = -self.bias[at]
+        return _moved(self.terms, self.free, change)[index] if change.any() else self.terms[index]
+
+    def columns_of(self, index: int) -> list[int]:
+        """Which free parameters are those of one term."""
+        return [column for column, (owner, _) in enumerate(self.free) if owner == index]
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,9 +170,7 @@ def _stepped(now: Iterate) -> Iterate:
     scale = np.where(alive, length, np.inf)
     settled = _SETTLED * left_over
     scaled, left = kept / scale, projector.project_out(stacked)
-    # Of chi2 no model explains what encoders' errors are expected to add to it: to first order about where noise was made.
-    misread = _misread(now)
-    gram, pull = scaled.T @ scaled, scaled.T @ left + 0.5 * misread / scale
+    gram, pull = scaled.T @ scaled, scaled.T @ left
     limits = _at_limits(terms, free)
     # What is left if the readings are linear: a fit that comes down to just that is done, and its values are a
     # hundredth of their standard deviation from the best ones.
@@ -177,9 +190,8 @@ def _stepped(now: Iterate) -> Iterate:
             moved = u + np.linalg.solve(projector.r, projector.q.T @ back)
         rows, prior = projector.residual(moved, trial), projector.prior_residual(moved)
         chi2 = float(rows @ rows + prior @ prior)
-        cost = chi2 - float(misread @ taken)
-        if now.chi2 - cost > -settled:
-            done = now.chi2 - cost < settled or abs(cost - least) < close
+        if now.chi2 - chi2 > -settled:
+            done = now.chi2 - chi2 < settled or abs(chi2 - least) < close
             return replace(
                 now, terms=trial, coordinates=moved, rows=rows, prior=prior, chi2=chi2, steps=now.steps + 1,
                 damping=0.1 * damping if damping > 1e-7 else 0.0, settled=done and exact,
@@ -187,15 +199,6 @@ def _stepped(now: Iterate) -> Iterate:
             )  # fmt: skip
         damping = max(10.0 * damping, 1e-4)
     return replace(now, settled=True, derivatives=derivatives, exact=True) if exact else anew
-
-
-def _misread(now: Iterate) -> np.ndarray:
-    """How chi-squared is expected to change by encoders' errors alone, by free parameter (k,)."""
-    misread, values = now.projector.data.misread, np.zeros(len(now.free))
-    for index, t in enumerate(now.terms):
-        at = [column for column, (owner, _) in enumerate(now.free) if owner == index]
-        values[at] = misread.get(t.effect, 0.0)
-    return values
 
 
 def _derivatives(
@@ -285,12 +288,14 @@ def finish(now: Iterate) -> Fit:
     silent = np.linalg.qr(vectors, mode="complete")[0][:, len(values) :]
     unshown = silent / np.where(np.isfinite(safe), safe, 1.0)[:, None]
     covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
+    added = [data.attenuation[terms[i].effect][k] if terms[i].effect in data.attenuation else 0.0 for i, k in free]
+    bias = covariance @ np.array(added)
     covariance = _widened(projector, covariance, kept, rows)
     cost = price(data, projector.rows, terms, free, kept)
     score = -0.5 * chi2 - 0.5 * projector.volume - cost if possible else -np.inf
     out = Fit(
-        projector, terms, links, offset, chi2, len(values), score, covariance, determined, unshown, free, now.coordinates,
-        rows, derivatives,
+        projector, terms, links, offset, chi2, len(values), score, covariance, determined, unshown, free, bias,
+        now.coordinates, rows, derivatives,
     )  # fmt: skip
     return replace(out, score=-np.inf) if possible and any(is_another(out, k) for k in range(len(terms))) else out
 
@@ -427,7 +432,8 @@ def distance(best: Fit, index: int) -> tuple[float, int]:
         if linear or not determined.any():
             return 0.0, int(sizes.sum())  # another shape would do with any size
         at, free, sizes = at[determined], free[determined], sizes[determined]
-    values, covariance = np.array(term.values)[free], best.covariance[np.ix_(at, at)]
+    values = np.array(best.unbiased(index).values)[free]
+    covariance = best.covariance[np.ix_(at, at)] + np.outer(best.bias[at], best.bias[at])
     half = norm.ppf(0.5 + 0.5 * settings.interval) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     low, high = (np.array(end)[free] for end in (effect.lower, effect.upper))
     if sizes.all() or not (effect.once or np.all((values - half >= low) & (values + half <= high) | sizes)):

@@ -318,7 +318,7 @@ def _concluded(
     steps = [before, *(choice.squares(kept[: n + 1]) for n in range(len(kept)))]
     found = []
     for n, k in enumerate(kept):
-        one = best.terms[known + n]
+        one = best.unbiased(known + n)
         term = Term(one.effect, one.effect.canonical(one.values))
         found.append(Found(term, choice.evidence(kept, k), best.std(known + n, 1.0), tuple(rivals[n])))
     # Residuals in units of the noise, as everywhere else; the covariance beside what stays unexplained.

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import f as f_ratio
 
-from bayesid.diagnosis.data import WHITE, DiagnosisData, residual_rows, term_rows
+from bayesid.diagnosis.data import WHITE, DiagnosisData, fitted_values, residual_rows, term_rows
 from bayesid.diagnosis.encoders import Encoders, encoder_count, with_noise
 from bayesid.diagnosis.noise_spectrum import measure
 from bayesid.diagnosis.spectra import SpectralSegment
@@ -101,30 +101,28 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
     fitted, unseen, known = noisy(data.segments), noisy(data.unseen), spectrum is not None or not filtered
     data = replace(data, segments=fitted, unseen=unseen, floor_known=known, floor_source=source, spectrum=spectrum)
     encoders = Encoders(predict, resmooth, count, random, seed)
-    return replace(data, misread=_misread(data, links, terms, encoders))
+    return replace(data, attenuation=_attenuation(data, links, terms, encoders))
 
 
-def _misread(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], encoders: Encoders) -> dict[Effect, np.ndarray]:
-    """How the expected squares of what encoders' errors add to whitened readings change with an effect's values.
+def _attenuation(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], encoders: Encoders) -> dict[Effect, np.ndarray]:
+    """What encoders' errors are expected to add to the right side of the normal equations, by effects that make much of them.
 
-    With D(theta) u the readings that errors u make, chi-squared holds ``E |D(theta) u|^2`` beside the noise: least squares would
-    take a mount that is damped too much, a joint that is too stiff, for those make less of them. Its derivative is taken out of
-    the fit, as of attenuation in linear errors in variables [Fuller1987]_.
+    Errors u change whitened predictions by D u and their derivatives by D' u, both of the values: residuals and derivatives are
+    correlated, and ``-E (D' u)' (D u)`` is added to J' r. Least squares so takes a mount for damped too much and a joint for too
+    stiff, as those pass on less of the errors: attenuation in a model that is linear [Fuller1987]_.
     """
     soft = [t for t in terms if t.effect.amplifies_encoder_errors and not data.fixed(t)]
-    out: dict[Effect, np.ndarray] = {}
-    segments = [s for s in data.segments if not (s.still or s.apart)]
-    again = encoders.roundings(segments, set(range(len(segments)))) if soft else {}
-    for k, roundings in again.items():
-        here = data, (segments[k],), links, np.zeros(len(data.channels))
-        read = residual_rows(*here, terms)
+    segments = [s for s in data.segments if not (s.still or s.apart)] if soft else []
+    out = {t.effect: np.zeros(len(t.values)) for t in soft}
+    offset = np.zeros(len(data.channels))
+    for k, others in encoders.roundings(segments, set(range(len(segments)))).items():
+        read = residual_rows(data, [segments[k]], links, offset, terms)
         for t in soft:
             beside = tuple(x for x in terms if x is not t)
-            slopes = term_rows(data, here[1], links, beside, t)
-            for moved in roundings:
-                error = read - residual_rows(data, (moved,), *here[2:], terms)
-                change = 2.0 * (term_rows(data, (moved,), links, beside, t) - slopes).T @ error / len(roundings)
-                out[t.effect] = out.get(t.effect, 0.0) + change
+            slopes = term_rows(data, [segments[k]], links, beside, t)
+            for s in others:
+                error = read - residual_rows(data, [s], links, offset, terms)
+                out[t.effect][fitted_values(t)] -= (term_rows(data, [s], links, beside, t) - slopes).T @ error / len(others)
     return out
 
 

@@ -118,7 +118,7 @@ def with_rivals(pruned: Pruned) -> tuple[State, tuple[Found, ...]]:
 def _alone(state: State, index: int) -> Found:
     """An effect with its evidence from the estimate and its covariance."""
     best = state.best
-    return Found(canonical(best.terms[index]), wald_evidence(best, index, state.dispersion), best.std(index, state.dispersion))
+    return Found(canonical(best.unbiased(index)), wald_evidence(best, index, state.dispersion), best.std(index, state.dispersion))
 
 
 def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...], Fit | None]:
@@ -193,12 +193,12 @@ def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]
     """A change of a link as an attached body, if a possible body is near enough, and what that adds to its evidence.
 
     Among all changes of a link as large as itself few are bodies that could be attached: if the one found is, that speaks
-    for a payload by one over their share. Any other effect is returned as it is.
+    for a payload by one over their share. Any other effect is returned as it is, without its expected error.
     """
-    term = fitted.terms[index]
+    term = fitted.unbiased(index)
     if (name := term.effect.may_be) is None or not np.isfinite(fitted.score):
         return term, 0.0
-    at = [column for column, (owner, _) in enumerate(fitted.free) if owner == index]
+    at = fitted.columns_of(index)
     values, hidden = np.array(term.values), _HIDDEN * fitted.unshown[at]
     # What the data do not show, as all inertia of poses at rest, is whatever a possible body needs, and little.
     covariance = dispersion * fitted.covariance[np.ix_(at, at)] + hidden @ hidden.T

@@ -220,8 +220,9 @@ def _effects(result: Excitation) -> list[ShownSection]:
     if found is None or not found.effects:
         return []
     rows = [
-        [e.effect.spec, e.parameter, number(e.usual, 2), (number(e.smallest, 2, "never"), "good" if e.smallest <= e.usual else "fair"),
-         e.unit, e.rival or DASH, percent(e.share), number(e.named, 2, "never")]
+        [e.effect.spec, e.parameter, number(e.usual, 2),
+         (number(e.smallest, 2, "never"), "good" if e.smallest <= e.usual else "fair"), e.unit,
+         e.rival or DASH, percent(e.share), number(e.named, 2, "never")]
         for e in found.effects
     ]  # fmt: skip
     head = ["effect", "by its", "usual", "smallest seen", "unit", "most like", "share", "told apart from"]
