@@ -420,7 +420,8 @@ def distance(best: Fit, index: int) -> tuple[float, int]:
     Where the interval of its shape lies within what is plausible, the covariance is that at this shape, whose values count, too:
     of a friction that is the larger the smaller its coupling is, no single number is known, yet it is there, and beside an
     uncertain shape the usual distance becomes the smaller the more there is [Hauck1977]_. Else another shape would do with
-    another size.
+    another size. Of what happens once the values that fit stand for the interval: torques of few joints do not tell a force from
+    its arm, yet something pushes.
     """
     term, settings = best.terms[index], best.projector.data.settings
     effect, shape = term.effect, set(term.effect.shape)
@@ -434,9 +435,10 @@ def distance(best: Fit, index: int) -> tuple[float, int]:
         at, free, sizes = at[determined], free[determined], sizes[determined]
     values = np.array(best.unbiased(index).values)[free]
     covariance = best.covariance[np.ix_(at, at)] + np.outer(best.bias[at], best.bias[at])
-    half = norm.ppf(0.5 + 0.5 * settings.interval) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    half = norm.ppf(0.5 + 0.5 * settings.interval) * np.sqrt(np.maximum(np.diag(covariance), 0.0)) * (not effect.once)
     low, high = (np.array(end)[free] for end in (effect.lower, effect.upper))
-    if sizes.all() or not (effect.once or np.all((values - half >= low) & (values + half <= high) | sizes)):
+    within = (values - half > low) & (values + half < high)
+    if sizes.all() or not np.all(within | sizes):
         return squared_distance(values[sizes], covariance[np.ix_(sizes, sizes)]), int(sizes.sum())
     return float(values[sizes] @ _precision(covariance)[np.ix_(sizes, sizes)] @ values[sizes]), len(own)
 
