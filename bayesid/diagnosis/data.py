@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -74,9 +74,8 @@ class DiagnosisData:
     floor_source: str = WHITE
     #: The noise of moving readings where it was measured by frequency, on repeats or at rest.
     spectrum: NoiseSpectrum | None = None
-    #: What encoders' errors are expected to add to the right side of the normal equations (k,), by effects that make much more of
-    #: them and their values, where the noise was made.
-    attenuation: Mapping[Effect, np.ndarray] = field(default_factory=dict)
+    #: Makes `attenuation`, which takes as long as the noise and few fits need.
+    attenuated: Callable[[DiagnosisData], Mapping[Effect, np.ndarray]] = lambda _: {}
     held: frozenset[str] = frozenset()  # effects of the user's model, ``name@where``, whose values are kept
     #: Validation motions that cannot be compared, and why.
     skipped: tuple[tuple[str, str], ...] = ()
@@ -101,6 +100,14 @@ class DiagnosisData:
     def offset_free(self) -> bool:
         """Whether a static run removes the sensor's constant offset."""
         return any(s.still for s in self.segments)
+
+    @cached_property
+    def attenuation(self) -> Mapping[Effect, np.ndarray]:
+        """What encoders' errors are expected to add to the right side of the normal equations (k,), where the noise was made.
+
+        By effects that make much more of these errors, and their values.
+        """
+        return self.attenuated(self)
 
     @cached_property
     def links(self) -> np.ndarray:

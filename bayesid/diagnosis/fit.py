@@ -70,11 +70,11 @@ class Fit:
     parameters: int  # how many of the effects' parameters the data determine
     score: float  # see the module
     covariance: np.ndarray  # of the effects' free parameters in the order of ``terms`` (k, k), the links' uncertainty included
+    by_noise: np.ndarray  # the same by the noise alone, however the residuals scatter (k, k)
     determined: np.ndarray  # whether the data tell each of them from the others (k,)
     #: Changes of them that the data do not show (k, m), each as large as one of them is known that shows alone, or one unit.
     unshown: np.ndarray
     free: tuple[tuple[int, int], ...]  # (term, parameter) of each of them
-    bias: np.ndarray  # expected error of each by `DiagnosisData.attenuation` (k,), to first order; the values hold it
     coordinates: np.ndarray  # the links and the offset in the coordinates of `NuisanceProjector` (size,)
     residual: np.ndarray  # whitened rows (rows,)
     derivatives: Mapping[Effect, Derivatives]  # of the readings, by effect that is fitted
@@ -83,6 +83,13 @@ class Fit:
     def jacobian(self) -> np.ndarray:
         """Whitened derivatives of the readings with respect to all free parameters (rows, k)."""
         return _side_by_side(self.projector, self.terms, self.derivatives)
+
+    @cached_property
+    def bias(self) -> np.ndarray:
+        """Expected error of the effects' free parameters by `DiagnosisData.attenuation`, to first order (k,), in their values."""
+        found = self.projector.data.attenuation
+        added = [found[self.terms[i].effect][k] if self.terms[i].effect in found else 0.0 for i, k in self.free]
+        return self.by_noise @ np.array(added)
 
     @property
     def leaves_noise(self) -> bool:
@@ -288,13 +295,11 @@ def finish(now: Iterate) -> Fit:
     silent = np.linalg.qr(vectors, mode="complete")[0][:, len(values) :]
     unshown = silent / np.where(np.isfinite(safe), safe, 1.0)[:, None]
     covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
-    added = [data.attenuation[terms[i].effect][k] if terms[i].effect in data.attenuation else 0.0 for i, k in free]
-    bias = covariance @ np.array(added)
-    covariance = _widened(projector, covariance, kept, rows)
+    widened = _widened(projector, covariance, kept, rows)
     cost = price(data, projector.rows, terms, free, kept)
     score = -0.5 * chi2 - 0.5 * projector.volume - cost if possible else -np.inf
     out = Fit(
-        projector, terms, links, offset, chi2, len(values), score, covariance, determined, unshown, free, bias,
+        projector, terms, links, offset, chi2, len(values), score, widened, covariance, determined, unshown, free,
         now.coordinates, rows, derivatives,
     )  # fmt: skip
     return replace(out, score=-np.inf) if possible and any(is_another(out, k) for k in range(len(terms))) else out

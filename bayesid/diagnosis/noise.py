@@ -101,7 +101,7 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
     fitted, unseen, known = noisy(data.segments), noisy(data.unseen), spectrum is not None or not filtered
     data = replace(data, segments=fitted, unseen=unseen, floor_known=known, floor_source=source, spectrum=spectrum)
     encoders = Encoders(predict, resmooth, count, random, seed)
-    return replace(data, attenuation=_attenuation(data, links, terms, encoders))
+    return replace(data, attenuated=lambda d: _attenuation(d, links, terms, encoders))
 
 
 def _attenuation(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], encoders: Encoders) -> dict[Effect, np.ndarray]:
