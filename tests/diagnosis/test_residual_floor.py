@@ -401,7 +401,7 @@ def test_what_encoders_add_to_the_normal_equations_is_the_slope_of_their_squares
     def squares(values) -> float:
         terms, offset = (Term(term.effect, values),), np.zeros(6)
         read = residual_rows(data, [s], data.links, offset, terms)
-        return np.mean([np.sum((read - residual_rows(data, [o], data.links, offset, terms)) ** 2) for o in others])
+        return float(np.mean([np.sum((read - residual_rows(data, [o], data.links, offset, terms)) ** 2) for o in others]))
 
     found = noise_of_segments._attenuation(data, data.links, (term,), encoders)[term.effect]
     slopes = [(squares((9.0 + d, 0.05 + e)) - squares((9.0 - d, 0.05 - e))) / 2e-3 for d, e in ((1e-3, 0.0), (0.0, 1e-3))]
