@@ -408,6 +408,14 @@ def test_a_diverged_model_is_refused(record, monkeypatch):
     assert forward.exact_fits(models, base, (), [replace(p, gain=1e3) for p in proposals], 1.0)[1] == []
 
 
+def changed_link(change: Term, covariance: np.ndarray, unshown: np.ndarray, data) -> SimpleNamespace:
+    """As much of a fit of one changed link as its name needs."""
+    return SimpleNamespace(
+        terms=(change,), score=0.0, unbiased=lambda _: change, columns_of=lambda _: list(range(10)), covariance=covariance,
+        unshown=unshown, projector=SimpleNamespace(data=data),
+    )  # fmt: skip
+
+
 def test_a_payload_is_as_rare_as_changes_of_what_a_sensor_weighs(tmp_path):
     """Where a sensor splits the link, a body hangs on the far part, and that part's changes are what it is told from."""
     robot = load_robot(write(tmp_path, wrist_sensor_arm()), sensor_joint="wrist_ft")
@@ -418,15 +426,7 @@ def test_a_payload_is_as_rare_as_changes_of_what_a_sensor_weighs(tmp_path):
 
     data = SimpleNamespace(robot=robot, links=robot.nominal.ravel(), places=places, settings=DEFAULT)
     change = Term(places("inertia_error")[-1], tuple(robot.nominal[-1]))
-    found = SimpleNamespace(
-        terms=(change,),
-        score=0.0,
-        free=[(0, k) for k in range(10)],
-        covariance=1e-8 * np.eye(10),
-        unshown=np.zeros((10, 0)),
-        projector=SimpleNamespace(data=data),
-    )
-    term, bonus = rivals.as_payload(found, 0, 1.0)
+    term, bonus = rivals.as_payload(changed_link(change, 1e-8 * np.eye(10), np.zeros((10, 0)), data), 0, 1.0)
     assert term.effect.spec == "payload@joint6"
     assert bonus == rivals._rarity(robot.nominal[-1]) != rivals._rarity(robot.nominal[5])
 
@@ -448,11 +448,7 @@ def test_a_payload_is_one_whatever_combinations_are_not_shown(tmp_path):
 
     def told(of: np.ndarray) -> str:
         change = Term(next(e for e in places("inertia_error") if e.where == "joint2"), tuple(of))
-        found = SimpleNamespace(
-            terms=(change,), score=0.0, free=[(0, k) for k in range(10)], covariance=seen * np.outer(size, size),
-            unshown=size[:, None] * axes[:, :2],
-            projector=SimpleNamespace(data=data),
-        )  # fmt: skip
+        found = changed_link(change, seen * np.outer(size, size), size[:, None] * axes[:, :2], data)
         return rivals.as_payload(found, 0, 1.0)[0].effect.name
 
     assert told(values) == "payload"
