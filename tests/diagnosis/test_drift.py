@@ -34,7 +34,7 @@ def test_a_drift_with_static_runs_is_named(recorded: bayesid.Simulation) -> None
     (said,) = found.to_dict()["effects"]
     for axis, slope in SLOPES.items():
         assert abs(said["parameters"][axis]["value"] - slope) < 4.0 * said["parameters"][axis]["std"]
-    assert found.gap is not None and found.gap.before > 2.0 and found.gap.after < 1.1 and found.gap.closed_low > 0.9
+    assert found.gap is not None and found.gap.before > 1.9 and found.gap.after < 1.1 and found.gap.closed_low > 0.9
 
 
 @pytest.mark.parametrize("static", ["motion", "joint"])
