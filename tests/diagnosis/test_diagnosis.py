@@ -351,6 +351,14 @@ def test_a_size_that_another_shape_would_do_with_is_none(record):
     assert distance(vague, 0) == (pytest.approx(1.0), 1) and not differs_from_zero(vague, 0)
     nearer = replace(vague, terms=(Term(tether, (*values[:4], 2.0, *values[5:])),))
     assert distance(nearer, 0)[1] == 8 and differs_from_zero(nearer, 0)
+    # Torques of two joints do not tell a contact's force from its arm: something pushes, unless at a point that no link has.
+    contact, motion = data.places("external_contact")[0], data.segments[0].motion
+    force = np.diag([1e-4, 1e-4, *[100.0] * 3, *[1.0] * 3])
+    force[2, 5] = force[5, 2] = 9.99
+    for point, named in ((0.1, True), (contact.upper[5], False)):
+        push = fit.fit(nuisance, (Episode(contact, (2.0, 4.0, 3.0, 0.0, 0.0, point, 0.0, 0.0), motion),), steps=0)
+        push = replace(push, covariance=force, determined=np.array([True, True, *[False] * 6]))
+        assert differs_from_zero(push, 0) == named
 
 
 def test_a_contact_is_no_excuse(record):

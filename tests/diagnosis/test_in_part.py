@@ -386,6 +386,8 @@ def test_a_kind_of_friction_is_added_at_all_joints_that_show_it_if_they_are_dema
     choice = _Told(cast(HeldOutSums, sums), effects, (), 0.0, DEFAULT, 0)
     assert sorted(choice.with_a_family([], range(4), lambda *_: True, np.zeros(1))) == added
     assert choice.with_a_family([], range(4), lambda _, k: k != 1, np.zeros(1)) == []
+    # Those that are kept already speak for the kind, whatever order they came in.
+    assert sorted(choice.with_a_family([0], range(1, 4), lambda *_: True, np.zeros(1))) == (added or [0])
 
 
 COUPLED = tuple(
