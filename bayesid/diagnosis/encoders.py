@@ -33,7 +33,7 @@ def with_noise(
     encoder count and random noise on top are by joint (n,) [rad or m].
     """
     exact, settings = predict(segment), segment.settings
-    positions, quiet = smooth_positions(segment)
+    positions, quiet = _smooth_positions(segment)
     channels = exact.shape[1]
     signal = segment.spectrum(exact)
     scatter = np.zeros((len(segment.frequencies), channels, channels))
@@ -55,7 +55,7 @@ def with_noise(
     return segment.with_noise(floor + scatter + rough)
 
 
-def smooth_positions(segment: SpectralSegment) -> tuple[np.ndarray, np.ndarray]:
+def _smooth_positions(segment: SpectralSegment) -> tuple[np.ndarray, np.ndarray]:
     """Positions as the segment's trajectory has them, and as smooth as the data allow (N, n); of poses what was read.
 
     Where a joint turns, the first follow the counts of this one recording. Rounded once more they would tell of that one case,
@@ -121,7 +121,7 @@ class Encoders:
         out: dict[int, list[SpectralSegment]] = {i: [] for i in sorted(wanted)}
         if not (self.resolution.any() or self.position_std.any()):
             return out
-        exact = {i: smooth_positions(s) for i, s in enumerate(segments) if i in wanted}
+        exact = {i: _smooth_positions(s) for i, s in enumerate(segments) if i in wanted}
         for _ in range(ROUNDINGS):
             shift = rng.uniform(-0.5, 0.5, len(self.resolution)) * self.resolution
             for i, (positions, quiet) in exact.items():

@@ -79,10 +79,10 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
         trajectory = smoothed(segment.times, read, *at)
         return replace(segment, trajectory=trajectory)
 
+    encoders = Encoders(predict, resmooth, count, random, seed)
     filtered = low_passed([s.readings for s in moving])
     spectrum = data.spectrum
     if not moving[0].covariance.size:  # the sensor's noise is the same whatever the model
-        encoders = Encoders(predict, resmooth, count, random, seed)
         spectrum = measure(moving, _rests(data, count), sensor[False], filtered, encoders)
     source = spectrum.source if spectrum else WHITE if not filtered else "richest model"
     if filtered and spectrum is None and (sheet := stated_noise(data.experiment, data.channel)) is not None:
@@ -100,7 +100,6 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
 
     fitted, unseen, known = noisy(data.segments), noisy(data.unseen), spectrum is not None or not filtered
     data = replace(data, segments=fitted, unseen=unseen, floor_known=known, floor_source=source, spectrum=spectrum)
-    encoders = Encoders(predict, resmooth, count, random, seed)
     return replace(data, attenuated=lambda d: _attenuation(d, links, terms, encoders))
 
 
