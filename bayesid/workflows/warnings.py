@@ -62,8 +62,10 @@ def mistakes(experiment: Experiment, named: Iterable[str] = ()) -> list[str]:
     """
     from bayesid.validation.mistakes.search import find_mistakes
 
-    explained = {*named, "not_explained"}
-    explained |= {"wrench_delay"} if "sensor_delay" in explained else set()
+    explained, classes = {*named, "not_explained"}, experiment.library.classes
+    # Where a mount or a joint gives, readings lag behind the encoders as if the clocks did.
+    late = {"sensor_delay", *(name for name, c in classes.items() if c.amplifies_encoder_errors)}
+    explained |= {"wrench_delay", "torque_delay"} if explained & late else set()
     wrong = [m.text for m in find_mistakes(experiment) if m.name not in explained]
     if wrong:
         wrong[-1] += ". Undo that first: the values here are of data with a mistake."

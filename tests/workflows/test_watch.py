@@ -9,6 +9,8 @@ import pytest
 import bayesid
 from bayesid.cli import main
 from bayesid.recordings.experiment import Sensor
+from bayesid.validation.mistakes.candidates import Mistake
+from bayesid.workflows.warnings import mistakes
 from tests.simulated import experiment, puma2
 
 TOOL = {
@@ -147,6 +149,14 @@ def test_mistakes_are_searched_once(series, monkeypatch):
         verb(replace(series[1], inertia_rel_std=0.05))
         assert [e.name for e in searched] == ["day1"], verb.__name__
         searched.clear()
+
+
+@pytest.mark.parametrize("name", ["sensor_delay", "joint_flexibility", "base_compliance", "viscous_friction"])
+def test_what_gives_explains_that_readings_lag(series, monkeypatch, name):
+    """Beside a flexible joint that was right the reader was told to shift the wrench by 7 ms first."""
+    late = Mistake("wrench_delay", "", "The wrench is late", "wrench", 40.0, (), ())
+    monkeypatch.setattr("bayesid.validation.mistakes.search.find_mistakes", lambda _: (late,))
+    assert bool(mistakes(series[0], [name])) == (name == "viscous_friction")
 
 
 def test_a_recording_too_short_for_a_measure_of_noise_is_not_compared(tmp_path):
