@@ -6,6 +6,7 @@ depend on the model. Whoever compares two models compares these.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -55,6 +56,14 @@ class MotionErrors:
                 for c, (name, unit) in enumerate(zip(self.before.channel_names, self.before.channel_units, strict=True))
             },
         }  # fmt: skip
+
+
+def predicted_worse(errors: Sequence[MotionErrors]) -> bool:
+    """Whether motions that were not fitted are predicted worse with the effects named, in their own size and in the noise's."""
+    unseen = [(e.before, e.after) for e in errors if not e.fitted and e.after is not None]
+    measures = [("relative_error", True), ("times_noise", all(before.noise_known for before, _ in unseen))]
+    sums = [np.sum([(getattr(b, name), getattr(a, name)) for b, a in unseen], axis=0) for name, known in measures if known]
+    return bool(unseen) and all(after > before for before, after in sums)
 
 
 def left_dict(prediction: Prediction) -> dict:

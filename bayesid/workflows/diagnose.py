@@ -41,7 +41,7 @@ from bayesid.results.changes import Changes
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.excitation import telling_sentence
 from bayesid.results.fitted_model import fitted_model
-from bayesid.validation.own_fit import before_and_after, chosen_bandwidth
+from bayesid.validation.own_fit import before_and_after, chosen_bandwidth, predicted_worse
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.warnings import mistakes, of_recordings, of_reference
 
@@ -230,9 +230,10 @@ def missing(
             return _with_description(_with_next_motion(out, rivals, seed, progress), seed, progress)
 
         diagnosis = concluded(imitate=False)
-        if diagnosis.part is not None and stands_alone(diagnosis.description):
+        worse = diagnosis.part is not None and predicted_worse(diagnosis.errors)
+        if diagnosis.part is not None and (worse or stands_alone(diagnosis.description)):
             other = concluded(imitate=True)
-            diagnosis = other if stands_alone(other.description) else diagnosis
+            diagnosis = other if worse or stands_alone(other.description) else diagnosis
     return diagnosis
 
 
@@ -325,7 +326,8 @@ def _stability(s: Search, named: Sequence[Found]) -> tuple[Stability | None, ...
 def _concluded(found: _Decided, tried: InPart | None, imitate: bool, seed: int) -> Diagnosis:
     """The verdict on what was found, and everything that goes with it.
 
-    ``tried`` are effects that are proven although something stays; they are not named if they ``imitate`` what stays.
+    ``tried`` are effects that are proven although something stays; they are not named if they ``imitate`` what stays, or if the
+    model that is handed on with them predicts worse.
     """
     s, gap, decided, reason = found.search, found.gap, found.verdict, found.reason
     data: DiagnosisData = s.projector.data

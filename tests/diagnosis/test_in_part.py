@@ -73,6 +73,13 @@ def diagnosis(recorded):
     return diagnose(recorded(1.5))
 
 
+def test_a_model_that_predicts_worse_is_not_handed_on(recorded, monkeypatch):
+    """A tether was named with which `identify` predicted unseen motions of a public arm 23 times as badly as without."""
+    monkeypatch.setattr("bayesid.workflows.diagnose.predicted_worse", lambda errors: any(e.after is not None for e in errors))
+    found = diagnose(recorded(1.5))
+    assert found.verdict == "unknown" and not found.found and found.model == ((), {})
+
+
 def test_friction_is_named_in_part_and_the_rest_stays(diagnosis):
     """Names, values in their intervals, what each closes for certain, and the joint whose torque holds what stays."""
     assert diagnosis.verdict == "named_in_part"

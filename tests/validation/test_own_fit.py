@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -12,8 +14,8 @@ from bayesid.estimators.nonlinear import default_method
 from bayesid.regression.options import FitOptions
 from bayesid.results.files import report_of
 from bayesid.simulation.trajectories import Trajectory
-from bayesid.validation.own_fit import before_and_after, chosen_bandwidth, left_text
-from bayesid.validation.prediction import judged
+from bayesid.validation.own_fit import MotionErrors, before_and_after, chosen_bandwidth, left_text, predicted_worse
+from bayesid.validation.prediction import Prediction, judged
 from tests.malformed import DATA
 from tests.robots import wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -161,3 +163,17 @@ def test_poses_are_compared_with_the_noise_that_is_stated(tmp_path, resolution):
     assert judged(left).mood == "good"
     unstated = replace(made, sensor=replace(made.sensor, force_std=None, torque_std=None))
     assert not bayesid.identify(unstated, progress=None).validation[0].noise_known
+
+
+@pytest.mark.parametrize(("after", "known", "worse"), [
+    ((0.6, 3.0), True, True), ((0.6, 1.0), True, False), ((0.4, 3.0), True, False), ((0.6, 1.0), False, True),
+    (None, True, False),
+])  # fmt: skip
+def test_unseen_motions_are_predicted_worse_by_every_measure_that_is_known(after, known, worse):
+    """Neither by the error's size alone nor by the noise's; motions that were fitted say nothing."""
+
+    def errors(fitted: bool, *sides: tuple[float, float] | None) -> MotionErrors:
+        made = [None if x is None else SimpleNamespace(relative_error=x[0], times_noise=x[1], noise_known=known) for x in sides]
+        return MotionErrors("m", fitted, *cast(list[Prediction], made))
+
+    assert predicted_worse([errors(True, (0.5, 2.0), (0.1, 1.0)), errors(False, (0.5, 2.0), after)]) == worse
