@@ -25,7 +25,7 @@ import numpy as np
 from bayesid.diagnosis.candidates import column_terms, make_library, surroundings
 from bayesid.diagnosis.choice import Choice
 from bayesid.diagnosis.data import DiagnosisData, residual_rows
-from bayesid.diagnosis.fit import FEW_STEPS, SWEEPS, begin, differs_from_zero, distance, finish, fit, is_another
+from bayesid.diagnosis.fit import FEW_STEPS, SWEEPS, Fit, begin, differs_from_zero, distance, finish, fit, is_another
 from bayesid.diagnosis.gap import LEAST_GAP, share_of_gap
 from bayesid.diagnosis.held_out import held_out_sums, left_by, scaled
 from bayesid.diagnosis.projector import make_projector
@@ -48,7 +48,7 @@ class ChannelGroup:
 
 def channel_groups(s: Search) -> tuple[ChannelGroup, ...]:
     """The effects found by the channels that they act in, and what is closed there."""
-    users, left = len(s.base.terms), (left_by(s.projector.data, s.base), left_by(s.projector.data, s.best))
+    left = tuple(left_by(s.projector.data, f) for f in (s.base, s.best))
     data = scaled(s.projector.data, left[1])
     weight, names = np.sqrt(left[1] / left[0]), np.array(data.channels.names)
     out = []
@@ -56,14 +56,21 @@ def channel_groups(s: Search) -> tuple[ChannelGroup, ...]:
         if not mask.any():  # it changes nothing
             out.append(ChannelGroup(tuple(s.found[n].term.effect.spec for n in members), (), 0.0))
             continue
-        sums = held_out_sums(data, s.projector.root, s.best, [], weight * mask)
-        before = float(sums.squares(range(users)).sum())
-        after = float(sums.squares(range(len(s.best.terms))).sum())
+        before = float(_left_out(s, s.base, data, weight * mask).sum())
+        after = float(_left_out(s, s.best, data, weight * mask).sum())
         rows = sum(float(x.shape[0] * (x.alive & mask).sum()) for x in (*data.segments, *data.unseen))
         floor = noise_share(s.projector.data, left[0], mask) * rows
         closed = float(share_of_gap(before - after, before, floor)) if before > 0.0 else 0.0
         out.append(ChannelGroup(tuple(s.found[n].term.effect.spec for n in members), tuple(map(str, names[mask])), closed))
     return tuple(out)
+
+
+def _left_out(s: Search, model: Fit, data: DiagnosisData, weight: np.ndarray) -> np.ndarray:
+    """Squared errors of a model on held-out blocks (b,), as `held_out_sums` takes data and weight.
+
+    About its own fit: readings are not linear in a gain beside links, and about another fit a gap may be of any size.
+    """
+    return held_out_sums(data, s.projector.root, model, [], weight).squares(range(len(model.terms)))
 
 
 def _acting(s: Search, weight: np.ndarray) -> np.ndarray:
@@ -231,7 +238,8 @@ def _chosen(
     ]  # fmt: skip
     apart = found | banned
     library += [x for x in exact if x[0].effect.spec not in apart and (among is None or x[0].effect.spec in among)]
-    sums = held_out_sums(data, s.projector.root, s.best, [t for t, _ in library], np.sqrt(left[1] / left[0]))
+    weight = np.sqrt(left[1] / left[0])
+    sums = held_out_sums(data, s.projector.root, s.best, [t for t, _ in library], weight)
     settings = data.settings
     choice = Choice(
         sums, tuple(t.effect for t in (*attempt, *(t for t, _ in library))), tuple(range(known)),
@@ -250,7 +258,7 @@ def _chosen(
         effect, values = choice.effects[index], np.array(term(index, kept).values)
         return bool(np.all((values >= effect.lower) & (values <= effect.upper)))
 
-    before = choice.squares([])
+    before = _left_out(s, s.base, data, weight)
     own = [k for k in range(known, len(attempt)) if _confirmable(attempt[k].effect) and attempt[k].effect.spec not in banned]
     kept = choice.without_unproven(own, before)
     others = range(len(attempt), len(choice.effects))
@@ -315,7 +323,9 @@ def _concluded(
         rest = [n for n in range(len(kept)) if n != least]
         model = [t for n, t in enumerate(model) if n != known + least]
         return _concluded(s, choice, [kept[n] for n in rest], model, [rivals[n] for n in rest], before) if rest else None
-    steps = [before, *(choice.squares(kept[: n + 1]) for n in range(len(kept)))]
+    left = tuple(left_by(s.projector.data, f) for f in (s.base, s.best))
+    after = _left_out(s, best, scaled(s.projector.data, left[1]), np.sqrt(left[1] / left[0]))
+    steps = [before, *(choice.squares(kept[: n + 1]) for n in range(len(kept) - 1)), after]
     found = []
     for n, k in enumerate(kept):
         one = best.unbiased(known + n)
