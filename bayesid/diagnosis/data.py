@@ -75,7 +75,7 @@ class DiagnosisData:
     #: The noise of moving readings where it was measured by frequency, on repeats or at rest.
     spectrum: NoiseSpectrum | None = None
     #: Makes `attenuation`, which takes as long as the noise and few fits need.
-    attenuated: Callable[[DiagnosisData], Mapping[Effect, np.ndarray]] = lambda _: {}
+    attenuated: Callable[[DiagnosisData], Mapping[Effect, np.ndarray]] | None = None
     held: frozenset[str] = frozenset()  # effects of the user's model, ``name@where``, whose values are kept
     #: Validation motions that cannot be compared, and why.
     skipped: tuple[tuple[str, str], ...] = ()
@@ -107,7 +107,7 @@ class DiagnosisData:
 
         By effects that make much more of these errors, and their values.
         """
-        return self.attenuated(self)
+        return {} if self.attenuated is None else self.attenuated(self)
 
     @cached_property
     def links(self) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import f as f_ratio
@@ -73,13 +73,7 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
     def predict(segment: SpectralSegment) -> np.ndarray:
         return data.predict(segment, links, terms)
 
-    def resmooth(segment: SpectralSegment, read: np.ndarray) -> SpectralSegment:
-        old = segment.trajectory
-        at = old.times, old.bandwidth, segment.still, old.middle_positions, old.clear, old.cell
-        trajectory = smoothed(segment.times, read, *at)
-        return replace(segment, trajectory=trajectory)
-
-    encoders = Encoders(predict, resmooth, count, random, seed)
+    encoders = Encoders(predict, _resmoothed, count, random, seed)
     filtered = low_passed([s.readings for s in moving])
     spectrum = data.spectrum
     if not moving[0].covariance.size:  # the sensor's noise is the same whatever the model
@@ -95,34 +89,54 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
             noise = sensor[s.still]
             if spectrum and not s.still:
                 noise = spectrum.of(s.motion).at(s.frequencies, s.step, noise)
-            out.append(with_noise(s, predict, resmooth, noise, count, random, rng))
+            out.append(with_noise(s, predict, _resmoothed, noise, count, random, rng))
         return tuple(out)
 
     fitted, unseen, known = noisy(data.segments), noisy(data.unseen), spectrum is not None or not filtered
     data = replace(data, segments=fitted, unseen=unseen, floor_known=known, floor_source=source, spectrum=spectrum)
-    return replace(data, attenuated=lambda d: _attenuation(d, links, terms, encoders))
+    return replace(data, attenuated=_Attenuation(links, tuple(terms), count, random, seed))
 
 
-def _attenuation(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], encoders: Encoders) -> dict[Effect, np.ndarray]:
+def _resmoothed(segment: SpectralSegment, read: np.ndarray) -> SpectralSegment:
+    """A segment as its encoders' other readings (N, n) would show it."""
+    old = segment.trajectory
+    at = old.times, old.bandwidth, segment.still, old.middle_positions, old.clear, old.cell
+    return replace(segment, trajectory=smoothed(segment.times, read, *at))
+
+
+@dataclass(frozen=True, eq=False)
+class _Attenuation:
     """What encoders' errors are expected to add to the right side of the normal equations, by effects that make much of them.
 
     Errors u change whitened predictions by D u and their derivatives by D' u, both of the values: residuals and derivatives are
     correlated, and ``-E (D' u)' (D u)`` is added to J' r. Least squares so takes a mount for damped too much and a joint for too
     stiff, as those pass on less of the errors: attenuation in a model that is linear [Fuller1987]_.
     """
-    soft = [t for t in terms if t.effect.amplifies_encoder_errors and not data.fixed(t)]
-    segments = [s for s in data.segments if not (s.still or s.apart)] if soft else []
-    out = {t.effect: np.zeros(len(t.values)) for t in soft}
-    offset = np.zeros(len(data.channels))
-    for k, others in encoders.roundings(segments, set(range(len(segments)))).items():
-        read = residual_rows(data, [segments[k]], links, offset, terms)
-        for t in soft:
-            beside = tuple(x for x in terms if x is not t)
-            slopes = term_rows(data, [segments[k]], links, beside, t)
-            for s in others:
-                error = read - residual_rows(data, [s], links, offset, terms)
-                out[t.effect][fitted_values(t)] -= (term_rows(data, [s], links, beside, t) - slopes).T @ error / len(others)
-    return out
+
+    #: The model (10 b,), and its effects.
+    links: np.ndarray
+    terms: tuple[Term, ...]
+    #: One encoder count and random noise on top, by joint (n,) [rad or m]; of the roundings.
+    count: np.ndarray
+    random: np.ndarray
+    seed: int
+
+    def __call__(self, data: DiagnosisData) -> dict[Effect, np.ndarray]:
+        """By effect (k,), with the noise that data have."""
+        links, terms, offset = self.links, self.terms, np.zeros(len(data.channels))
+        soft = [t for t in terms if t.effect.amplifies_encoder_errors and not data.fixed(t)]
+        segments = [s for s in data.segments if not (s.still or s.apart)] if soft else []
+        out = {t.effect: np.zeros(len(t.values)) for t in soft}
+        encoders = Encoders(lambda s: data.predict(s, links, terms), _resmoothed, self.count, self.random, self.seed)
+        for k, others in encoders.roundings(segments, set(range(len(segments)))).items():
+            read = residual_rows(data, [segments[k]], links, offset, terms)
+            for t in soft:
+                beside = tuple(x for x in terms if x is not t)
+                slopes = term_rows(data, [segments[k]], links, beside, t)
+                for s in others:
+                    error = read - residual_rows(data, [s], links, offset, terms)
+                    out[t.effect][fitted_values(t)] -= (term_rows(data, [s], links, beside, t) - slopes).T @ error / len(others)
+        return out
 
 
 def _encoder_counts(data: DiagnosisData, segments: Sequence[SpectralSegment]) -> np.ndarray:

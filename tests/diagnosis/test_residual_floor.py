@@ -390,12 +390,8 @@ def test_what_encoders_add_to_the_normal_equations_is_the_slope_of_their_squares
     """``-E (D' u)' (D u)`` is minus half the derivative of ``E |D u|^2``, here by central differences in each value."""
     data, term = mounted(robot, 9.0, 0.05, 0)
 
-    def resmooth(s, read):
-        old = s.trajectory
-        at = old.times, old.bandwidth, s.still, old.middle_positions, old.clear, old.cell
-        return replace(s, trajectory=smoothed(s.times, read, *at))
-
-    encoders = Encoders(lambda s: data.predict(s, data.links, (term,)), resmooth, np.full(robot.n, 1e-4), np.zeros(robot.n), 0)
+    count, random = np.full(robot.n, 1e-4), np.zeros(robot.n)
+    encoders = Encoders(lambda s: data.predict(s, data.links, (term,)), noise_of_segments._resmoothed, count, random, 0)
     ((s,), others) = data.segments, encoders.roundings(data.segments, {0})[0]
 
     def squares(values) -> float:
@@ -403,7 +399,7 @@ def test_what_encoders_add_to_the_normal_equations_is_the_slope_of_their_squares
         read = residual_rows(data, [s], data.links, offset, terms)
         return float(np.mean([np.sum((read - residual_rows(data, [o], data.links, offset, terms)) ** 2) for o in others]))
 
-    found = noise_of_segments._attenuation(data, data.links, (term,), encoders)[term.effect]
+    found = noise_of_segments._Attenuation(data.links, (term,), count, random, 0)(data)[term.effect]
     slopes = [(squares((9.0 + d, 0.05 + e)) - squares((9.0 - d, 0.05 - e))) / 2e-3 for d, e in ((1e-3, 0.0), (0.0, 1e-3))]
     np.testing.assert_allclose(found, -0.5 * np.array(slopes), rtol=0.02)
 
