@@ -548,4 +548,4 @@ def known_share(share: float) -> str:
     """A share of a gap as per cent, nothing where it is not known or none; 100 % means all of it."""
     if not np.isfinite(share) or share <= 0:
         return ""
-    return percent(share) if share < 0.999 else f"{np.floor(min(share, 1.0) * 1e5) / 1e3:.6g} %"
+    return percent(share) if share < 0.999 else f"{100.0 if share >= 1.0 else min(round(100.0 * share, 3), 99.999):.6g} %"
