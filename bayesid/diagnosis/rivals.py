@@ -157,7 +157,8 @@ def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...],
         same = term.effect.same_as(term.values, library.around, fitted)
         together = tuple(t.effect.spec for t in same)
         near = [(t, lack) for t, lack in near if t.effect.spec not in together] + [(t, float(np.log(len(same)))) for t in same]
-        gain = (best.score - without.score) / dispersion
+        # Without it another effect may be none: play that makes up for a mount, too.
+        gain = (best.score - without.score) / dispersion if np.isfinite(without.score) else wald_evidence(best, i, dispersion)
         out.append(Found(canonical(named), gain, best.std(i, dispersion), tuple(near), together))
     return replace(state, models=models), tuple(out), None
 

@@ -146,6 +146,21 @@ def test_what_nearly_complete_models_leave_is_no_third_effect(record):
         assert [t.effect.spec for t in few.state.best.terms] == [n for n in names if n not in dropped]
 
 
+def test_the_evidence_of_an_effect_without_which_no_model_is_possible_is_that_of_its_estimate(record):
+    """Play that makes up for a mount, too, is none: the fit without the mount had no score, diagnosis.json an infinite one."""
+    folder, answer = record("no-model-without", "pair", ["sensor_gain", "fluid_drag"], "wrench", seed=3)
+    comparison, nuisance = made(folder, "wrench")
+    names = [f"{e['name']}@{e['where']}" for e in answer["effects"]]
+    channels = [*"fx fy fz mx my mz".split()]
+    terms = [Term(e, e.starts) for e in EffectLibrary().parse(names, comparison.robot.joint_names, channels, None)]
+    base, best, without = (fit.fit(nuisance, x) for x in ((), terms, terms[1:]))
+    state = forward.State(NoiseModels.of(0, (), candidates.make_library(nuisance, base)), base, best, 1.0)
+    _, usual = rivals.with_rivals(rivals.Pruned(state))
+    _, found = rivals.with_rivals(rivals.Pruned(state, {0: replace(without, score=-np.inf)}))
+    assert found[0].gain == fit.wald_evidence(best, 0, 1.0) > 0.5 * usual[0].gain
+    assert found[1].gain == usual[1].gain
+
+
 def test_an_unmodelled_effect_is_unknown(record):
     """An effect that the library does not have is not given a name."""
     folder, _ = record("stranger", "unlisted", ["vibration"], "wrench")
