@@ -50,6 +50,8 @@ LEAST = 40
 _PASSES = 2
 #: Draws that tell whether encoder errors matter, and draws that their covariance is taken from.
 _FEW, _MANY = 4, 40
+#: Draws that an expected error is taken from: to a fifth of it where errors come and go with the motion.
+_EXPECTED = 12
 #: Draws that the spectrum of encoder errors is averaged over.
 SPECTRA = 16
 #: Share of a parameter's variance that is left out. Of few draws, the largest share of many parameters is overstated.
@@ -202,9 +204,9 @@ class _Draws:
     share: Sequence[float]
 
     @classmethod
-    def few(cls, regression: Regression, law: RegressorNoise, values: np.ndarray) -> _Draws:
+    def few(cls, regression: Regression, law: RegressorNoise, values: np.ndarray, draws: int) -> _Draws:
         """Simulate U and ``U b`` a few times, which the mean of ``U' W'W U b``, a sum of squares, needs no more than."""
-        blocks, count = list(law.pieces(None)), min(_FEW, law.draws or _FEW)
+        blocks, count = list(law.pieces(None)), min(draws, law.draws or draws)
         regressors = [[x.matrix - b.matrix for x, b in zip(law.pieces(k), blocks, strict=True)] for k in range(count)]
         moving = sum(len(b.rows) for b in blocks if b.group != "poses")
         poses = sum(len(b.rows) for b in blocks if b.group == "poses")
@@ -216,15 +218,22 @@ class _Draws:
 
         ``weighted`` weights rows of a block (k, channels, any).
         """
-        sums, mean = 0.0, 0.0
+        sums, mean = 0.0, self.mean(weighted)
         for k, block in enumerate(self.blocks):
             p = block.matrix.shape[2]
             both = np.concatenate([block.matrix, np.stack([e[k] for e in self.errors], axis=2)], axis=2)
             rows = weighted(block, both).reshape(-1, both.shape[2])
             sums = sums + np.sqrt(self.share[k]) * (rows[:, p:].T @ rows[:, :p])
-            for regressor, error in zip(self.regressors, rows[:, p:].T, strict=False):
-                mean = mean + self.share[k] / len(self.regressors) * (weighted(block, regressor[k]).reshape(-1, p).T @ error)
         return covariance_of_sums(np.asarray(sums)) + np.outer(mean, mean)
+
+    def mean(self, weighted: Callable[[Block, np.ndarray], np.ndarray]) -> np.ndarray:
+        """``m = E[U' W'W U b]`` (p,); ``weighted`` as for `mean_square`."""
+        total = np.zeros(self.blocks[0].matrix.shape[2])
+        for k, block in enumerate(self.blocks):
+            for errors, regressor in zip(self.errors, self.regressors, strict=False):
+                both = weighted(block, np.concatenate([regressor[k], errors[k][:, :, None]], axis=2)).reshape(-1, len(total) + 1)
+                total += self.share[k] / len(self.regressors) * (both[:, :-1].T @ both[:, -1])
+        return total
 
 
 def covariance_of_sums(sums: np.ndarray) -> np.ndarray:
@@ -256,10 +265,7 @@ def with_encoder_errors(
     if law is None or not may_matter(regression, weights):
         return None
 
-    def weighted(block: Block, rows: np.ndarray) -> np.ndarray:
-        return weights.noise[block.group].whiten(rows) if scale is None else rows * scale[block.group].reshape(-1, 1)
-
-    few = regression.rows.derived("few_encoder_errors", lambda: _Draws.few(regression, law, weights.solution))
+    weighted, few = _weighting(weights, scale), _few(regression, law, weights, _FEW)
     bread = inverse @ inverse.T
     own, added = (np.diag(bread @ m @ bread) for m in (middle, few.mean_square(weighted)))
     if np.all(added <= _NEGLIGIBLE * own):
@@ -273,6 +279,31 @@ def with_encoder_errors(
         return sensor[block.group].colour_transposed(back)
 
     return regression.rows.total(gram_of(coloured), np.add) + draws.mean_square(weighted)
+
+
+def right_side_lost(regression: Regression, weights: Weights, scale: dict[str, np.ndarray] | None) -> np.ndarray:
+    """``m = E[U' W'W U b]`` (p,): what encoder errors take from the weighted equations' right side on average.
+
+    ``scale`` as for `with_encoder_errors`; zero where nothing is known of the errors.
+    """
+    law = regression.regressor_noise
+    if law is None or not law.present():
+        return np.zeros(len(weights.solution))
+    return _few(regression, law, weights, _EXPECTED).mean(_weighting(weights, scale))
+
+
+def _weighting(weights: Weights, scale: dict[str, np.ndarray] | None) -> Callable[[Block, np.ndarray], np.ndarray]:
+    """Weights rows (k, channels, any) of a block; ``scale`` as for `with_encoder_errors`."""
+
+    def weighted(block: Block, rows: np.ndarray) -> np.ndarray:
+        return weights.noise[block.group].whiten(rows) if scale is None else rows * scale[block.group].reshape(-1, 1)
+
+    return weighted
+
+
+def _few(regression: Regression, law: RegressorNoise, weights: Weights, draws: int) -> _Draws:
+    """A few draws of encoder errors, made once."""
+    return regression.rows.derived(f"{draws}_encoder_errors", lambda: _Draws.few(regression, law, weights.solution, draws))
 
 
 def encoder_growth(regression: Regression, weights: Weights, scale: dict[str, np.ndarray], inverse: np.ndarray) -> np.ndarray:

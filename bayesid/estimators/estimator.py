@@ -132,6 +132,10 @@ class Estimate(HasParameters):
         Link parameters of its own (P,), ``base.matrix @ links == values``; None: the nearest to the nominal ones.
     possible
         Smallest and largest values that the estimator allows, where intervals end (2, p); None: any.
+    expected_error
+        What encoders' errors are expected to add to ``solution`` (p,), of effects that make much of them
+        (`bayesid.estimators.attenuation`). `parameters` are without it; predictions are made with ``solution``, as it was fitted.
+        None: nothing.
     """
 
     method: str
@@ -152,6 +156,7 @@ class Estimate(HasParameters):
     details: Details = Details()
     links: np.ndarray | None = None
     possible: np.ndarray | None = None
+    expected_error: np.ndarray | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -183,6 +188,16 @@ class Estimate(HasParameters):
         return np.where(self.undetermined, np.nan, standard_deviations(self.full_covariance))
 
     @property
+    def unbiased(self) -> np.ndarray:
+        """``solution`` less ``expected_error`` (p,)."""
+        return self.solution if self.expected_error is None else self.solution - self.expected_error
+
+    @property
+    def unbiased_std(self) -> np.ndarray:
+        """Standard deviations of ``unbiased`` (p,): an expected error is known about to its own size."""
+        return self.full_std if self.expected_error is None else np.hypot(self.full_std, self.expected_error)
+
+    @property
     def std(self) -> np.ndarray:
         """Standard deviations of the base parameters (r,)."""
         return self.full_std[: self.base.rank]
@@ -210,8 +225,8 @@ class Estimate(HasParameters):
         """Base parameters, then effect parameters, with central intervals of a probability, cut off where nothing is possible."""
         names = list(self.effect_names)
         return Parameters(
-            [*self.names, *names], [*self.base.labels, *self.base.effect_labels(names)], self.solution, self.full_std,
-            *central_interval(self.solution, self.full_std, level, self.possible),
+            [*self.names, *names], [*self.base.labels, *self.base.effect_labels(names)], self.unbiased, self.unbiased_std,
+            *central_interval(self.unbiased, self.unbiased_std, level, self.possible),
             [*self.base.units, *self.effect_units], [*self.classes, *["effect"] * len(names)],
         )  # fmt: skip
 

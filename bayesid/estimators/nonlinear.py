@@ -25,8 +25,9 @@ from bayesid.effects import Point, Surroundings, with_places
 from bayesid.effects.surroundings import surroundings_of
 from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, Huber, Physical, Student, estimator, fit
-from bayesid.estimators.factor import Pilot
+from bayesid.estimators.factor import Pilot, whitened
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
+from bayesid.regression.blocks import residual_of
 from bayesid.regression.linalg import solve as least_squares
 from bayesid.regression.problem import Problem, absorbed_offset, chosen_again, relinearised
 
@@ -37,7 +38,7 @@ _STARTING_PASSES = 3
 #: Times that the bandwidth is chosen again, at most: two choices may follow each other for ever.
 _ROUNDS = 3
 #: Estimators whose values do not depend on what is known of encoder errors, only their covariance does.
-_COVARIANCE_ALONE = (LeastSquares, Ridge, TruncatedSVD, Huber, Student, Physical)
+COVARIANCE_ALONE = (LeastSquares, Ridge, TruncatedSVD, Huber, Student, Physical)
 #: Standard deviations beyond which a value is out of what is plausible.
 _CERTAIN = 3.0
 #: Steps at most, and how often each is halved until it makes the residual no larger; the next one is tried whole again.
@@ -184,7 +185,7 @@ class Fitted:
     def whole(self) -> bool:
         """Whether the covariance counts encoder errors; where values do not depend on them, steps do not wait for that."""
         law = self.problem.regression.regressor_noise
-        return law is None or law.rung or not isinstance(estimator(self.method), _COVARIANCE_ALONE)
+        return law is None or law.rung or not isinstance(estimator(self.method), COVARIANCE_ALONE)
 
     def next(self) -> Fitted | None:
         """A step towards the estimate; None where it is at the point already, or no share of the step is for the better."""
@@ -274,11 +275,15 @@ def _stepped(problem: Problem, here: Point, estimate: Estimate, step: np.ndarray
 
 
 def _cost(problem: Problem, point: Point, estimate: Estimate) -> float:
-    """Mean square of the rows' residual at the point, in units of the noise."""
-    solution = np.concatenate([point.base, point.values[point.free]])
-    power, count = 0.0, 0
-    for block in problem.regression.rows.blocks():
-        noise = estimate.noise.get(block.group) or next(iter(estimate.noise.values()))
-        power += float(np.sum(((block.target - block.matrix @ solution) / noise.std) ** 2))
-        count += block.target.size
-    return power / max(count, 1)
+    """Mean square of the rows' residual at the point, in units of the noise.
+
+    Where something rings, of whitened rows, as they are fitted (`bayesid.estimators.weights`): by channel alone, every step to
+    less damping is for the worse, for then the encoders' errors ring louder.
+    """
+    solution, blocks = np.concatenate([point.base, point.values[point.free]]), problem.regression.rows.blocks()
+    if problem.row_model.rings:
+        left = [residual_of(rows, solution) for _, rows in whitened(blocks, estimate.noise)]
+    else:
+        any_noise = next(iter(estimate.noise.values()))
+        left = [b.residual(solution) / estimate.noise.get(b.group, any_noise).std for b in blocks]
+    return sum(float(np.sum(x**2)) for x in left) / max(sum(x.size for x in left), 1)

@@ -321,11 +321,9 @@ def chosen_again(problem: Problem) -> Problem:
     """The problem at the bandwidth that predicts best with the model where it is linearised now.
 
     The first choice is made where the effects start; what these leave unexplained there looks like motion that should be left
-    out. A bandwidth that was given stays, and so does one with effects that amplify the encoders' errors: predictions in the
-    band that judges do not show how much smaller a compliance comes out with more of these errors above it. An `InputError`
-    where nothing is left of a motion where its trajectory has settled.
+    out. A bandwidth that was given stays. An `InputError` where nothing is left of a motion where its trajectory has settled.
     """
-    if problem.bandwidths is None or any(e.amplifies_encoder_errors for e in problem.row_model.effects):
+    if problem.bandwidths is None:
         return problem
     sources = problem.rows.segments
     smoother = smoother_of(problem.experiment, moving := _moving(sources))

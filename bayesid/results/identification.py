@@ -294,8 +294,8 @@ class Identification(PlotsPredictions, HasEstimate, Result):
 
     def _fitted_effects(self) -> list[tuple[Term, np.ndarray]]:
         """Every effect with its values, and their standard deviations (k,), nan where there is none."""
-        rank, out = self.base.rank, []
-        for effect, *found in by_effect(self.problem.row_model, self.estimate.solution[rank:], self.estimate.full_std[rank:]):
+        rank, e, out = self.base.rank, self.estimate, []
+        for effect, *found in by_effect(self.problem.row_model, e.unbiased[rank:], e.unbiased_std[rank:]):
             values, std = self.offset if effect.absorbs_weight and self.offset is not None else found
             out.append((Term(effect, tuple(values)), std))
         return out

@@ -13,6 +13,7 @@ from bayesid.arguments import argument, call
 from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.errors import BayesidError, EstimationError, InputError
 from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator, fit
+from bayesid.estimators.attenuation import with_expected_error
 from bayesid.estimators.least_squares import LeastSquaresDetails
 from bayesid.estimators.nonlinear import settled
 from bayesid.estimators.weights import Weights, learn_weights
@@ -123,7 +124,7 @@ def compare(
             entries, baselines = [_with_own_links(e, regression) for e in entries], []
         else:
             floor = noise_floor(problem)
-            entries = [_predicted(e, problem, weights, floor) for e in entries]
+            entries = [_predicted(_without_pull(e, problem, dict(chosen)[e.name]), problem, weights, floor) for e in entries]
             baselines = [
                 _predicted(Entry(e.method, text, e), own, weights, floor, baseline=True)
                 for text, own, e in nominal_estimates(problem, weights)
@@ -186,6 +187,11 @@ def _attempt(name: str, method: Estimator, regression: Regression) -> Entry:
         refusal = " ".join(str(error).split()) or type(error).__name__
         return Entry(name, description, None, refusal, time.perf_counter() - started)
     return Entry(name, description, estimate, seconds=time.perf_counter() - started)
+
+
+def _without_pull(entry: Entry, problem: Problem, method: Estimator) -> Entry:
+    """The entry with what encoders' errors are expected to add to values of its effects."""
+    return entry if entry.estimate is None else replace(entry, estimate=with_expected_error(problem, entry.estimate, method))
 
 
 def _predicted(entry: Entry, problem: Problem, weights: Weights, floor: NoiseFloor | None, *, baseline: bool = False) -> Entry:

@@ -12,6 +12,7 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import structural_base, unseen
 from bayesid.estimators import Estimate, Estimator, estimator
+from bayesid.estimators.attenuation import with_expected_error
 from bayesid.estimators.conic.physical import against_nominal
 from bayesid.estimators.factor import channel_grams, pilot_of
 from bayesid.estimators.nonlinear import default_method, solve
@@ -105,6 +106,7 @@ def identify(
             )
         else:  # everything is linearised at the estimate, which comes first
             problem, estimate = solve(problem, method, estimating)
+            estimate = with_expected_error(problem, estimate, method)
             alone, floor, flexible = {}, noise_floor(problem), None
         clock("prediction")
         # Fits of single motions and links need none of the predictions: all at once, the longest first.

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 import bayesid
+from bayesid.estimators.covariance import right_side_lost
 from bayesid.estimators.errors_in_variables import TotalLeastSquares
 from bayesid.estimators.nonlinear import solve
+from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.experiment import Sensor
 from bayesid.regression.options import FitOptions
-from bayesid.regression.problem import prepare
+from bayesid.regression.problem import prepare, relinearised
 from bayesid.simulation.trajectories import Trajectory, fourier_trajectory
 from tests.simulated import experiment, puma2
 
@@ -68,3 +70,38 @@ def test_total_least_squares_is_as_sure_of_a_resonance_as_its_errors_are_large(t
     )
     at = problem.row_model.base.rank + problem.regression.effect_names.index("base_compliance@base.resonance")
     assert abs(estimate.solution[at] - 8.0) < 4.0 * estimate.full_std[at] < 1.0
+
+
+def test_what_encoders_take_from_the_equations_is_the_slope_of_what_they_add_to_the_rows(tmp_path):
+    """``E (D' u)' W'W D u`` is half the derivative of ``E |W D u|^2``, here by central differences in each value of a mount."""
+    simulation = recorded(tmp_path, 9.0, 0.1, 1e-4, 2)
+    simulation = replace(simulation, effect_values={"base_compliance": {"resonance": 9.0, "damping": 0.1}})
+    problem = prepare(simulation, FitOptions(effects=["base_compliance"], bandwidth=10.0))
+    weights, point = learn_weights(problem.regression), problem.row_model.point
+    scale = {"trajectory": 1.0 / np.array([0.2, 0.2, 0.2, 0.02, 0.02, 0.02])}
+    found = right_side_lost(problem.regression, weights, scale)[-2:]
+    share = problem.regression.rows.count / sum(len(b.rows) for b in problem.regression.regressor_noise.pieces(None))
+
+    def squares(step) -> float:
+        there = relinearised(problem, replace(point, values=point.values + np.append(np.zeros(len(point.values) - 2), step)))
+        solution = np.append(weights.solution[:-2], there.row_model.point.values[-2:])
+        errors = there.regression.regressor_noise.misread(12, solution)
+        return share * float(np.mean([sum(np.sum((e * scale["trajectory"]) ** 2) for e in draw) for draw in errors]))
+
+    slopes = [(squares(step) - squares(-step)) / (4.0 * step.max()) for step in (np.array([1e-2, 0.0]), np.array([0.0, 1e-3]))]
+    np.testing.assert_allclose(found, slopes, rtol=0.05)
+
+
+def test_intervals_of_a_mount_hold_what_encoders_make_of_it(tmp_path):
+    """Least squares alone takes a mount for damped too much, for it then passes on less of the encoders' errors."""
+    plain, unbiased = [], []
+    for seed in range(5):
+        (folder := tmp_path / str(seed)).mkdir()
+        estimate = bayesid.identify(recorded(folder, 9.0, 0.05, 1e-4, seed), effects="base_compliance").estimate
+        error = estimate.solution[-2:] - (9.0, 0.05)
+        assert estimate.effect_names[-1] == "base_compliance@base.damping"
+        plain.append(error / estimate.full_std[-2:])
+        unbiased.append((error - estimate.expected_error[-2:]) / estimate.unbiased_std[-2:])
+        assert estimate.parameters().std[-2:] == pytest.approx(estimate.unbiased_std[-2:])
+    assert np.sqrt(np.mean(np.square(plain), axis=0))[1] > 2.0
+    assert np.all(np.sqrt(np.mean(np.square(unbiased), axis=0)) < 1.3)

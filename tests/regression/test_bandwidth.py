@@ -96,5 +96,3 @@ def test_it_is_chosen_again_where_effects_are_known_as_if_their_values_had_been_
     assert again.smoother.bandwidth > start.smoother.bandwidth
     given = prepare(late, replace(options, bandwidth=7.0))
     assert chosen_again(given) is given
-    flexible = prepare(late, replace(options, effects=["joint_flexibility@joint2"]))
-    assert chosen_again(flexible) is flexible
