@@ -102,12 +102,10 @@ class NoiseModels:
 def prepared(projector: NuisanceProjector, terms: Sequence[Term], best: Fit | None) -> tuple[NuisanceProjector, Fit, Library]:
     """The user's model fitted, and its library; with a floor of its own where none was measured."""
     base = fit(projector, terms)
-    library = make_library(projector, base, best)
-    if projector.data.floor_known and library.dispersion(base) < projector.data.settings.hopeless:
+    library, richest = make_library(projector, base, best), base if best is None else fit(projector, best.terms, best)
+    if projector.data.floor_known and library.dispersion(richest) < projector.data.settings.hopeless:
         return projector, base, library
-    projector = make_projector(
-        with_floor_of(library, base if best is None else fit(projector, best.terms, best)), (best or base).terms
-    )
+    projector = make_projector(with_floor_of(library, richest), richest.terms)
     base = fit(projector, terms, base)
     return projector, base, make_library(projector, base, best)
 

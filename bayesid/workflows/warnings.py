@@ -66,6 +66,8 @@ def mistakes(experiment: Experiment, named: Iterable[str] = ()) -> list[str]:
     # Where a mount or a joint gives, readings lag behind the encoders as if the clocks did.
     late = {"sensor_delay", *(name for name, c in classes.items() if c.amplifies_encoder_errors)}
     explained |= {"wrench_delay", "torque_delay"} if explained & late else set()
+    # Forces at a sensor that is turned are as on a base that is tilted.
+    explained |= {"base_tilt"} if "sensor_rotation" in explained else set()
     wrong = [m.text for m in find_mistakes(experiment) if m.name not in explained]
     if wrong:
         wrong[-1] += ". Undo that first: the values here are of data with a mistake."

@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 import bayesid
+from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot.robot import load_robot
 from bayesid.workflows.demo import PAPER_LOCKED, puma_two_joint_urdf
 
@@ -191,3 +192,20 @@ def test_what_shakes_the_readings_far_above_their_noise_is_no_noise(robot, seed)
     found = bayesid.diagnose(replace(experiment, motions=tuple(shaken(m) for m in experiment.motions)), "wrench")
     assert (found.verdict, found.data.floor_source) == ("unknown", "far above the noise")
     assert "no effect of the library explains it" in str(found) and not found.found
+
+
+def test_what_is_far_above_the_noise_until_it_is_named_is_named_without_reserve(robot):
+    """A sensor that is turned by 40 degrees, which no sum of small effects is: it was named in part, beside a gain of 1e-4."""
+    turned, sensor = {"rx": 0.49, "ry": -0.3, "rz": 0.4}, Sensor(force_std=0.1, torque_std=0.01)
+    setup = Experiment("turned", robot, (), sensor, inertia_rel_std=0.05, position_resolution=1e-5)
+    motions = [
+        bayesid.fourier_trajectory(robot, role, role, duration=12.0, rate=125.0, fundamental=0.25, seed=seed)
+        for seed, role in enumerate(("identification", "validation"))
+    ]
+    recorder = bayesid.Recorder(force_std=0.1, torque_std=0.01, resolution=1e-5)
+    found = bayesid.diagnose(
+        bayesid.simulate(setup, motions, effects={"sensor_rotation": turned}, recorder=recorder, perturb=0.05)
+    )
+    assert (found.verdict, found.data.floor_source) == ("named", "white noise above the band")
+    ((name, values),) = [(f.term.effect.name, f.term.values) for f in found.found]
+    assert name == "sensor_rotation" and values == pytest.approx(tuple(turned.values()), abs=1e-4)

@@ -159,6 +159,14 @@ def test_what_gives_explains_that_readings_lag(series, monkeypatch, name):
     assert bool(mistakes(series[0], [name])) == (name == "viscous_friction")
 
 
+@pytest.mark.parametrize("name", ["sensor_rotation", "base_tilt", "sensor_offset"])
+def test_a_turned_sensor_explains_that_gravity_seems_turned(series, monkeypatch, name):
+    """Beside a sensor that was turned by 21 degrees, rightly named, the reader was told to tilt the base by 21 degrees first."""
+    tilted = Mistake("base_tilt", "", "The base seems to be tilted", "wrench", 40.0, (), ())
+    monkeypatch.setattr("bayesid.validation.mistakes.search.find_mistakes", lambda _: (tilted,))
+    assert bool(mistakes(series[0], [name])) == (name == "sensor_offset")
+
+
 def test_a_recording_too_short_for_a_measure_of_noise_is_not_compared(tmp_path):
     """Its own fit leaves nothing: nine changes were named of a robot as it was, at billions of times what that leaves."""
     robot = puma2(tmp_path)
