@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Literal
 
 import numpy as np
 from scipy.stats import chi2
@@ -22,6 +23,14 @@ from bayesid.effects.segment import late_start
 from bayesid.estimators.prior_check import CONFLICT
 from bayesid.section import powers
 
+#: Why effects that held-out recordings prove are not named: they imitate what the library lacks, fitted to all other motions they
+#: do not predict the validation motions, or the model with them that is handed on predicts those worse than the one without.
+Refusal = Literal["imitates", "denied", "worse"]
+_REFUSED: dict[Refusal, str] = {
+    "imitates": "What imitates an effect that the library lacks closes as much",
+    "denied": "Fitted to all fitted motions they predict the validation motions no better",
+    "worse": "As `identify` fits the model with them to all fitted motions, validation motions are predicted worse than without",
+}
 #: Share of a direction's prior variance that the data must explain for it to count.
 _CLEAR = 0.01
 
@@ -49,26 +58,19 @@ def remarks(
     reason: Reason,
     stability: Sequence[Stability | None],
     part: InPart | None = None,
-    contradicted: bool = False,
+    refused: Refusal = "imitates",
 ) -> tuple[str, ...]:
     """Everything worth knowing beside the verdict: why it is unknown first, then the noise, the model, validation, moments.
 
     ``gap`` is that of the model that is handed on, ``reason`` why its effects are not named without reserve. ``part`` holds
-    effects that held-out recordings prove, where that was asked, and ``contradicted`` says whether the validation motions deny
-    them once they are fitted to all others.
+    effects that held-out recordings prove, where that was asked, and ``refused`` says why they are not named all the same.
     """
     data = search.projector.data
     out = _unknown(search, reason) if verdict == "unknown" else []
     if verdict == "unknown" and part is not None:
         out.append(
             f"On {held_out_text(data, part.held_out_parts)} {', '.join(by_kind(f.term for f in part.search.found))} would close "
-            f"{100 * (1.0 - part.remainder):.3g} % of the gap. "
-            + (
-                "Fitted to all fitted motions they predict the validation motions no better"
-                if contradicted
-                else "What imitates an effect that the library lacks closes as much"
-            )
-            + ": not named."
+            f"{100 * (1.0 - part.remainder):.3g} % of the gap. {_REFUSED[refused]}: not named."
         )
     if verdict == "named_in_part" and part is not None and part.groups:
         each = "; ".join(f"{', '.join(g.channels)}: {100 * g.closed:.3g} % by {', '.join(g.effects)}" for g in part.groups)

@@ -25,7 +25,7 @@ from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.push import Push, find_push, less_push, measured_push, without_push
-from bayesid.diagnosis.remarks import by_kind, next_experiment, remarks
+from bayesid.diagnosis.remarks import Refusal, by_kind, next_experiment, remarks
 from bayesid.diagnosis.search import Found, Search, certain, holds_below, leaves_noise, search, search_from, with_data
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.stability import Stability, stability
@@ -223,16 +223,16 @@ def missing(
                 again = checked(search_from(result.search, tried.search.best.terms, seed, progress))
                 result, tried = (result, tried) if again.verdict == "unknown" else (again, None)
 
-        def concluded(imitate: bool) -> Diagnosis:
-            out = _with_errors(_concluded(result, tried, imitate, seed), push, motions, progress)
+        def concluded(refused: Refusal | None) -> Diagnosis:
+            out = _with_errors(_concluded(result, tried, refused, seed), push, motions, progress)
             if push is not None:
                 out = _with_push(out, push, whole)
             return _with_description(_with_next_motion(out, rivals, seed, progress), seed, progress)
 
-        diagnosis = concluded(imitate=False)
+        diagnosis = concluded(None)
         worse = diagnosis.part is not None and predicted_worse(diagnosis.errors)
         if diagnosis.part is not None and (worse or stands_alone(diagnosis.description)):
-            other = concluded(imitate=True)
+            other = concluded("worse" if worse else "imitates")
             diagnosis = other if worse or stands_alone(other.description) else diagnosis
     return diagnosis
 
@@ -323,23 +323,23 @@ def _stability(s: Search, named: Sequence[Found]) -> tuple[Stability | None, ...
     return stability(s.projector, s.best, len(s.base.terms), named, s.dispersion)
 
 
-def _concluded(found: _Decided, tried: InPart | None, imitate: bool, seed: int) -> Diagnosis:
+def _concluded(found: _Decided, tried: InPart | None, refused: Refusal | None, seed: int) -> Diagnosis:
     """The verdict on what was found, and everything that goes with it.
 
-    ``tried`` are effects that are proven although something stays; they are not named if they ``imitate`` what stays, or if the
-    model that is handed on with them predicts worse.
+    ``tried`` are effects that are proven although something stays; they are not named where something else ``refused`` them.
     """
     s, gap, decided, reason = found.search, found.gap, found.verdict, found.reason
     data: DiagnosisData = s.projector.data
-    part, contradicted, stays, why = None, False, (), reason
+    part, stays, why = None, (), reason
     if decided != "unknown":
         s = found.sure
     else:  # the best attempt is shown as it is
         gap = validate(s.projector, s.base, s.best, s.dispersion, seed, complete=False)
-    if tried is not None and not imitate and named_in_part(tried, data.settings):
+    if tried is not None and refused is None and named_in_part(tried, data.settings):
         closer = validate(tried.search.projector, tried.search.base, tried.search.best, s.dispersion, seed, complete=False)
-        contradicted = denied(evidence_of(tried.search, closer), data.settings)
-        if not contradicted:
+        if denied(evidence_of(tried.search, closer), data.settings):
+            refused = "denied"
+        else:
             decided, part, s, gap = "named_in_part", tried, tried.search, closer
             data = s.projector.data
             stays = _places(s, s.best)
@@ -354,7 +354,7 @@ def _concluded(found: _Decided, tried: InPart | None, imitate: bool, seed: int) 
         found=named,
         where=_places(s, s.base),
         gap=gap,
-        remarks=remarks(s, gap, decided, why, parts, tried, contradicted),
+        remarks=remarks(s, gap, decided, why, parts, tried, refused or "imitates"),
         next_experiment=next_experiment(decided, named, poses=data.poses, floor_known=data.floor_known),
         stability=parts if named else (),
         part=part,

@@ -78,6 +78,7 @@ def test_a_model_that_predicts_worse_is_not_handed_on(recorded, monkeypatch):
     monkeypatch.setattr("bayesid.workflows.diagnose.predicted_worse", lambda errors: any(e.after is not None for e in errors))
     found = diagnose(recorded(1.5))
     assert found.verdict == "unknown" and not found.found and found.model == ((), {})
+    assert any("validation motions are predicted worse than without" in r for r in found.remarks)
 
 
 def test_friction_is_named_in_part_and_the_rest_stays(diagnosis):
@@ -330,7 +331,7 @@ def test_what_another_joint_does_says_nothing_against_an_effect(beside_much):
 def test_names_that_make_validation_worse_are_told_not_given(beside_much, searches, monkeypatch):
     """Held out in turn they are better, fitted to all fitted motions not: unknown, and the note says so."""
     data, s = beside_much.data, beside_much.search
-    found = remarks(s, beside_much.gap, "unknown", "residual", (), beside_much.part, True)
+    found = remarks(s, beside_much.gap, "unknown", "residual", (), beside_much.part, "denied")
     assert any("viscous_friction@joint2 would close" in r and "predict the validation motions no better" in r for r in found)
     assert data.unseen
 
