@@ -37,7 +37,8 @@ def is_excuse(best: Fit, index: int) -> bool:
     """Whether a contact found is no more than an excuse for something else; False for all that is no contact.
 
     It does not act in held-out motions, so nothing there can deny it. So it must end inside the recording, and last for no more
-    than half of the motion, longer than not; what lasts longer has to be an effect that is there in other motions, too.
+    than half of the motion, longer than not; what lasts longer has to be an effect that is there in other motions, too. Nor is a
+    moment in which it does not even come up a contact: force and duration are one number then, and friction that reverses has it.
     """
     term = best.terms[index]
     if not (isinstance(term, Episode) and isinstance(term.effect, ExternalContact)):
@@ -45,7 +46,7 @@ def is_excuse(best: Fit, index: int) -> bool:
     start, end = term.values[:2]
     times = np.concatenate([s.times for s in best.projector.data.segments if s.motion == term.motion and not s.still])
     first, last = float(times.min()), float(times.max())
-    return end > last - 0.5 * CONTACT_RAMP or 2.0 * (end - start) > last - first
+    return end > last - 0.5 * CONTACT_RAMP or not CONTACT_RAMP < end - start < 0.5 * (last - first)
 
 
 def contact_terms(projector: NuisanceProjector, fit: Fit, left: np.ndarray) -> Iterator[tuple[list[Term], float]]:

@@ -137,6 +137,7 @@ def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...],
         models, library = models.library(without)
         proposals = [p for p in library.propose(without) if p.name != term.effect.spec]
         models, fits = exact_fits(models, without, held, proposals, dispersion, never=[term])
+        fits = [f for f in fits if not is_excuse(f, len(f.terms) - 1)]
         if exchange and fits and fits[0].score > best.score + dispersion:
             return replace(state, models=models), (), fits[0]
         named, bonus = as_payload(best, i, dispersion)
