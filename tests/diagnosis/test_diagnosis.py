@@ -377,7 +377,7 @@ def test_a_size_that_another_shape_would_do_with_is_none(record):
 
 
 def test_a_contact_is_no_excuse(record):
-    """Its force differs from zero, it ends inside the recording, and it lasts longer than it comes up and less than most of it."""
+    """Its force differs from zero, it ends inside the recording, and lasts longer than it comes up, not most of it."""
     folder, _ = record("excuse", "none", [], "wrench", seed=9)
     data, nuisance = made(folder, "wrench")
     effect, moving = data.places("external_contact")[-1], data.segments[0]
