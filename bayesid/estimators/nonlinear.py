@@ -281,9 +281,11 @@ def _cost(problem: Problem, point: Point, estimate: Estimate) -> float:
     less damping is for the worse, for then the encoders' errors ring louder.
     """
     solution, blocks = np.concatenate([point.base, point.values[point.free]]), problem.regression.rows.blocks()
+    any_noise = next(iter(estimate.noise.values()))
+    noise = {group: estimate.noise.get(group, any_noise) for group in ("trajectory", "poses")}
     if problem.row_model.rings:
-        left = [residual_of(rows, solution) for _, rows in whitened(blocks, estimate.noise)]
+        left = (residual_of(rows, solution) for _, rows in whitened(blocks, noise))
     else:
-        any_noise = next(iter(estimate.noise.values()))
-        left = [b.residual(solution) / estimate.noise.get(b.group, any_noise).std for b in blocks]
-    return sum(float(np.sum(x**2)) for x in left) / max(sum(x.size for x in left), 1)
+        left = (b.residual(solution) / noise[b.group].std for b in blocks)
+    power, count = np.sum([(np.sum(x**2), x.size) for x in left], axis=0)
+    return float(power / max(count, 1))
