@@ -262,6 +262,7 @@ class Estimate(HasParameters):
             "covariance": covariance,
             "full_covariance": None if self.full_covariance is None else self.full_covariance.tolist(),
             "full_covariance_names": [*self.names, *self.effect_names],
+            "expected_error": None if self.expected_error is None else self.expected_error.tolist(),
             "base_map": self.base.matrix.tolist(),
             "weight_in_offset": self.base.absorbed.tolist() if self.base.absorbed is not None else None,
             "link_parameter_names": list(self.base.parameter_names),

@@ -497,17 +497,19 @@ def _estimate(d: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> Est
     )  # fmt: skip
     values, std = _numbers(listed, "value"), _numbers(listed, "std")
     covariance = None if d["full_covariance"] is None else np.array(d["full_covariance"], float)
+    expected = None if d.get("expected_error") is None else np.array(d["expected_error"], float)
     kinds = [p["class"] for p in d["base_parameters"]]
     unknown = covariance is not None and np.isnan(std[rank:])
     number = {k: np.nan if v is None else v for k, v in (("condition", d["condition_number"]), *d["residual"].items())}
     return Estimate(
         method=d["method"], base=_base(d), effect_names=tuple(p["name"] for p in effects),
-        effect_units=tuple(p["unit"] for p in effects), solution=values, full_covariance=covariance,
+        effect_units=tuple(p["unit"] for p in effects), solution=values if expected is None else values + expected,
+        full_covariance=covariance,
         undetermined=np.append(np.array(kinds) == "prior", np.broadcast_to(unknown, len(effects))).astype(bool),
         weak=np.array([*(k == "weak" for k in kinds), *(False for _ in effects)], bool), interval=d["interval"], noise={},
         rows=d["residual"]["rows"], condition_number=number["condition"], residual_rms=number["whitened_rms"],
         whiteness=number["whiteness"], interval_reason=d.get("interval_reason", ""), details=details,
-        possible=_possible(listed),
+        possible=_possible(listed), expected_error=expected,
     )  # fmt: skip
 
 

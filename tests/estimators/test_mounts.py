@@ -97,11 +97,17 @@ def test_intervals_of_a_mount_hold_what_encoders_make_of_it(tmp_path):
     plain, unbiased = [], []
     for seed in range(5):
         (folder := tmp_path / str(seed)).mkdir()
-        estimate = bayesid.identify(recorded(folder, 9.0, 0.05, 1e-4, seed), effects="base_compliance").estimate
+        found = bayesid.identify(recorded(folder, 9.0, 0.05, 1e-4, seed), effects="base_compliance")
+        estimate = found.estimate
         error = estimate.solution[-2:] - (9.0, 0.05)
         assert estimate.effect_names[-1] == "base_compliance@base.damping"
         plain.append(error / estimate.full_std[-2:])
         unbiased.append((error - estimate.expected_error[-2:]) / estimate.unbiased_std[-2:])
         assert estimate.parameters().std[-2:] == pytest.approx(estimate.unbiased_std[-2:])
+        assert found.model[1]["base_compliance@base"]["damping"] == estimate.unbiased[-1]
+    found.write(folder / "kept")
+    kept = bayesid.load(folder / "kept").estimate
+    for one in ("solution", "unbiased", "full_std", "unbiased_std"):
+        np.testing.assert_allclose(getattr(kept, one), getattr(estimate, one), rtol=1e-12)
     assert np.sqrt(np.mean(np.square(plain), axis=0))[1] > 2.0
     assert np.all(np.sqrt(np.mean(np.square(unbiased), axis=0)) < 1.3)
