@@ -26,23 +26,41 @@ def with_expected_error(problem: Problem, estimate: Estimate, method: str | Esti
 
     None is known of estimators that correct the regressor themselves, or state no covariance.
     """
-    point, rank = problem.row_model.point, problem.row_model.base.rank
-    if point is None or estimate.full_covariance is None or not isinstance(estimator(method), COVARIANCE_ALONE):
+    if estimate.full_covariance is None or not isinstance(estimator(method), COVARIANCE_ALONE):
         return estimate
-    effects = problem.row_model.effects
-    soft = np.concatenate([np.full(len(e.parameters), e.amplifies_encoder_errors) for e in effects])[point.free]
+    details = estimate.details
+    kind = details.weights if isinstance(details, LeastSquaresDetails) else None
+    return replace(estimate, expected_error=expected_error(problem, estimate.solution, kind))
+
+
+def expected_error(problem: Problem, solution: np.ndarray, kind: str | None = None) -> np.ndarray | None:
+    """Expected error of a solution (p,) of a problem linearised there, zero but for mounts and soft joints; None without these.
+
+    ``kind`` says how rows were weighted, as in `weighted_factor`; by default as for a likelihood.
+    """
+    row_model, regression = problem.row_model, problem.regression
+    point, rank = row_model.point, row_model.base.rank
+    if point is None:
+        return None
+    soft = np.concatenate([np.full(len(e.parameters), e.amplifies_encoder_errors) for e in row_model.effects])[point.free]
     if not soft.any():
-        return estimate
-    regression, weights, details = problem.regression, learn_weights(problem.regression), estimate.details
-    kind = details.weights if isinstance(details, LeastSquaresDetails) else likelihood_weights(weights)
-    factor, scale = weighted_factor(regression, weights, kind)
-    lost = right_side_lost(regression, weights, scale)
-    lost[:rank] = 0.0
-    lost[rank:] *= soft
+        return None
+    weights = learn_weights(regression)
+    factor, scale = weighted_factor(regression, weights, kind or likelihood_weights(weights))
+    lost = right_side_lost(regression, weights, scale) * np.append(np.zeros(rank), soft)
     error = -factor.inverse @ (factor.inverse.T @ lost)
-    error[:rank] = 0.0
     # A value stays within what is possible.
-    low, high = (np.concatenate([getattr(e, side) for e in effects])[point.free] for side in ("lower", "upper"))
-    values = estimate.solution[rank:]
-    error[rank:] = np.where(soft, values - np.clip(values - error[rank:], np.minimum(low, values), np.maximum(high, values)), 0.0)
-    return replace(estimate, expected_error=error)
+    low, high = (np.concatenate([getattr(e, side) for e in row_model.effects])[point.free] for side in ("lower", "upper"))
+    values = solution[rank:]
+    within = np.clip(values - error[rank:], np.minimum(low, values), np.maximum(high, values))
+    return np.append(np.zeros(rank), np.where(soft, values - within, 0.0))
+
+
+def without_expected_error(draws: np.ndarray, error: np.ndarray | None) -> np.ndarray:
+    """Draws (..., k) less an expected error (k,), as much wider as its own size is not known."""
+    if error is None:
+        return draws
+    flat = draws.reshape(-1, draws.shape[-1])
+    mean, std = flat.mean(axis=0), flat.std(axis=0)
+    wider = np.where(std > 0.0, np.hypot(std, error) / np.where(std > 0.0, std, 1.0), 1.0)
+    return mean - error + (draws - mean) * wider

@@ -17,7 +17,8 @@ its sandwich covariance V [Ribatet2012]_, which holds the colour that whitening 
 
 Where the model lacks something (`Weights.complete`), whitening would give most weight to what has little noise, and so would
 unknown scales: the channel that a flexible model fits best would gain weight until little else is fitted. Rows are then weighted
-as those of ``wls``, ``X_c / std_c``, and what they say is b and its covariance V, no more. V is itself an estimate, from how far
+as those of ``wls``, ``X_c / std_c`` (where the model rings with the encoders' errors, whose noise is not learned from residuals
+alone, still as those of ``gls``), and what they say is b and its covariance V, no more. V is itself an estimate, from how far
 eight parts of the recording disagree, so that b is Student's t with seven degrees of freedom about the truth:
 
     log p(b | beta, s) = -n log s - |S (beta - b)|^2 / (2 s^2),   S'S = V^-1,   s^2 ~ IG(7/2, 7/2),
@@ -39,6 +40,7 @@ from scipy.special import digamma, gammaln
 from bayesid.estimators.conic.links import compressed
 from bayesid.estimators.covariance import covariance_middle
 from bayesid.estimators.factor import Factor, reduce_scaled, reduce_whitened, stack, whitened
+from bayesid.estimators.least_squares import likelihood_weights
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.linalg import pseudo_inverse, solve
 from bayesid.regression.regression import Regression
@@ -215,11 +217,11 @@ def _weighted(
 ) -> tuple[dict[str, NoiseModel], dict[str, np.ndarray] | None, Factor]:
     """Noise that rows are whitened with, what channels were weighted with instead (see `covariance_middle`), and the factor.
 
-    Where the model is incomplete the noise is white by channel: of no ``passes`` as large as that of the weights. Unknown scales
-    must be those of the fit's own residuals: where a channel's scale is not one, its posterior moves the fit away from least
-    squares, and by as much more as the curvature is smaller.
+    Where the model is incomplete, and does not ring, the noise is white by channel: of no ``passes`` as large as that of the
+    weights. Unknown scales must be those of the fit's own residuals: where a channel's scale is not one, its posterior moves the
+    fit away from least squares, and by as much more as the curvature is smaller.
     """
-    if weights.complete:
+    if likelihood_weights(weights) == "noise":
         return weights.noise, None, reduce_whitened(regression.rows.blocks(), weights.noise)
     noise = {group: model.uncoloured() for group, model in weights.noise.items()}
     solution = weights.solution

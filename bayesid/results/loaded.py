@@ -19,6 +19,7 @@ from bayesid.drawing import Plots, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
+from bayesid.estimators.attenuation import without_expected_error
 from bayesid.estimators.estimator import CustomDetails, Details
 from bayesid.estimators.parameters import HasParameters, Parameters, central_interval, tails
 from bayesid.posterior.convert import as_dataset, load_arviz
@@ -27,6 +28,7 @@ from bayesid.results.comparison import Entry, HasEntries
 from bayesid.results.estimated import HasEstimate
 from bayesid.results.files import BESIDE, WRITTEN, check_schema
 from bayesid.results.frames import frame
+from bayesid.results.posterior import EXPECTED_ERROR
 from bayesid.robot.prior import natural_sizes
 from bayesid.robot.urdf import JointDynamics
 from bayesid.rounding import LEVEL
@@ -283,7 +285,7 @@ class LoadedPosterior(HasParameters, _WithParameters, _WithModel):
 
     @property
     def own_effect_draws(self) -> np.ndarray:
-        """Draws of the effect parameters, less the weight of the drawn links in them, (chains, draws, e)."""
+        """Draws of the effect parameters, as `bayesid.results.posterior.ExperimentPosterior.own_effect_draws`."""
         return _own_effects(self._group) if "effect" in self._group else self.effect_draws
 
     @property
@@ -462,13 +464,14 @@ def _of_draws(file: Path) -> dict[str, Any]:
 
 
 def _own_effects(group: Any) -> np.ndarray:
-    """Draws of the effect parameters (chains, draws, e) in a group of ``posterior.nc``, a sensor's offset without weight."""
+    """Draws of the effect parameters (chains, draws, e) of a group of ``posterior.nc``, as `LoadedPosterior.own_effect_draws`."""
     draws = np.array(group["effect"].values, float)
     if "sensor_offset" in group:
         own = group["sensor_offset"]
         names = [str(name) for name in group["effect_parameter"].values]
         draws[..., [names.index(f"sensor_offset@sensor.{axis}") for axis in own["axis"].values]] = own.values
-    return draws
+    error = group.attrs.get(EXPECTED_ERROR)
+    return without_expected_error(draws, None if error is None else np.atleast_1d(error))
 
 
 def _base(document: Mapping[str, Any]) -> BaseParameters:

@@ -12,6 +12,7 @@ import numpy as np
 from bayesid.argument_types import explains_types
 from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.dynamics.channels import WRENCH_NAMES
+from bayesid.estimators.attenuation import without_expected_error
 from bayesid.estimators.parameters import Parameters, central_interval, tails
 from bayesid.posterior.convert import write_netcdf
 from bayesid.posterior.result import Posterior, moments
@@ -23,6 +24,9 @@ from bayesid.robot.urdf import JointDynamics, write_urdf
 from bayesid.rounding import LEVEL
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import Prediction
+
+#: Attribute of the draws' group that keeps `ExperimentPosterior.expected_error`.
+EXPECTED_ERROR = "expected_error_of_effects"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,6 +45,9 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
         What the user should know, most important first.
     seconds
         Run time by stage.
+    expected_error
+        What encoders' errors are expected to pull the effect parameters by (e,), in the draws of mounts and soft joints; None
+        without these (`bayesid.estimators.attenuation`).
     """
 
     verb = "sample"
@@ -50,6 +57,7 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
     rel_std: float | None = None
     warnings: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
+    expected_error: np.ndarray | None = None
 
     @explains_types
     def predict(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None) -> PredictedReadings:
@@ -59,12 +67,17 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
 
     @property
     def own_effect_draws(self) -> np.ndarray:
-        """Draws of the effect parameters, less the weight of the drawn links in them, (chains, draws, e).
+        """Draws of the effect parameters, less the weight of the drawn links and ``expected_error``, (chains, draws, e).
 
-        As `effect_draws`, but for the offset of a sensor from which no static run takes the weight: what looks like an offset is
-        fitted as one. With a flat prior, which draws no links, they are `effect_draws`.
+        As `effect_draws`, but for two. From the offset of a sensor no static run takes the weight: what looks like an offset is
+        fitted as one. Weight stays where a flat prior draws no links. And mounts and soft joints are pulled by encoders' errors.
         """
-        return self.effect_draws if self.link_draws is None else own_values(self.problem, self.effect_draws, self.link_draws)
+        links, draws = self.link_draws, self.effect_draws
+        return without_expected_error(draws if links is None else own_values(self.problem, draws, links), self.expected_error)
+
+    def _attributes(self) -> dict[str, Any]:
+        own = super()._attributes()
+        return own if self.expected_error is None else {**own, EXPECTED_ERROR: self.expected_error}
 
     def to_arviz(self) -> Any:
         """As `Posterior.to_arviz`, with ``sensor_offset`` where links are drawn: the sensor's offset without their weight."""
@@ -79,14 +92,16 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
         return data
 
     def parameters(self, level: float = LEVEL) -> Parameters:
-        """Base parameters, then effect parameters, a sensor's offset without weight, with central intervals of a probability."""
+        """Base parameters, then effect parameters by `own_effect_draws`, with central intervals of a probability.
+
+        A sensor's offset is without weight, by the nominal links where none are drawn.
+        """
         found, rank = super().parameters(level), self.base.rank
         values, std, low, high = (x.copy() for x in (found.values, found.std, found.low, found.high))
-        if self.link_draws is not None:
-            draws = np.concatenate(self.own_effect_draws)
-            values[rank:], std[rank:] = draws.mean(axis=0), draws.std(axis=0, ddof=1)
-            low[rank:], high[rank:] = np.quantile(draws, tails(level), axis=0)
-        else:
+        draws = np.concatenate(self.own_effect_draws)
+        values[rank:], std[rank:] = draws.mean(axis=0), draws.std(axis=0, ddof=1)
+        low[rank:], high[rank:] = np.quantile(draws, tails(level), axis=0)
+        if self.link_draws is None:
             links = nearest_links(self.problem.experiment.robot, self.base, values[:rank])
             if (offset := own_offset(self.problem, values[rank:], std[rank:], links)) is not None:
                 at = [rank + k for k in weight_columns(self.problem.row_model)]

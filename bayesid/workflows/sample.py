@@ -13,6 +13,7 @@ from scipy.linalg import cholesky
 from bayesid.arguments import argument, with_given
 from bayesid.errors import InputError, require_one_of
 from bayesid.estimators import Estimate
+from bayesid.estimators.attenuation import expected_error
 from bayesid.estimators.conic.physical import against_prior
 from bayesid.estimators.estimator import largest_autocorrelation
 from bayesid.estimators.nonlinear import settled
@@ -220,11 +221,12 @@ def _with_predictions(
     fitted = tuple(predict(problem, estimate, m, floor) for m in problem.experiment.motions if m.name in problem.fitted)
     gaps = flexible_gaps(problem, estimate.solution, [m.name for m in judges])
     validation = tuple(replace(predict(problem, estimate, m, floor), flexible=gaps.get(m.name)) for m in judges)
+    error, rank = expected_error(problem, estimate.solution), posterior.base.rank
     clock.stop()
     return ExperimentPosterior(
         posterior.model, posterior.chains, posterior.seed, extra, posterior.prior_check, problem=problem, fitted=fitted,
         validation=validation, rel_std=rel_std, warnings=_warnings(posterior, problem, estimate, validation),
-        seconds=clock.seconds,
+        seconds=clock.seconds, expected_error=None if error is None else error[rank:],
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from bayesid.regression.problem import Problem
 from bayesid.regression.readings import has_readings
 from bayesid.section import powers
 from bayesid.validation.agreement import Agreement
+from bayesid.validation.mistakes.candidates import Mistake
 from bayesid.validation.prediction import Prediction, judged, left_by_uncertain_parameters, of_signal, useless
 
 _CERTAIN = 3.0  # standard deviations below zero
@@ -60,18 +61,23 @@ def mistakes(experiment: Experiment, named: Iterable[str] = ()) -> list[str]:
 
     ``named`` are the effects that it found: what these explain is no mistake as well, nor is what nothing explains.
     """
+    wrong = [m.text for m in _unexplained(experiment, named) if m.name != "not_explained"]
+    if wrong:
+        wrong[-1] += ". Undo that first: the values here are of data with a mistake."
+    return wrong
+
+
+def _unexplained(experiment: Experiment, named: Iterable[str]) -> list[Mistake]:
+    """What may be wrong with the recordings and is not what effects of these names make."""
     from bayesid.validation.mistakes.search import find_mistakes
 
-    explained, classes = {*named, "not_explained"}, experiment.library.classes
+    explained, classes = set(named), experiment.library.classes
     # Where a mount or a joint gives, readings lag behind the encoders as if the clocks did.
     late = {"sensor_delay", *(name for name, c in classes.items() if c.amplifies_encoder_errors)}
     explained |= {"wrench_delay", "torque_delay"} if explained & late else set()
     # Forces at a sensor that is turned are as on a base that is tilted.
     explained |= {"base_tilt"} if "sensor_rotation" in explained else set()
-    wrong = [m.text for m in find_mistakes(experiment) if m.name not in explained]
-    if wrong:
-        wrong[-1] += ". Undo that first: the values here are of data with a mistake."
-    return wrong
+    return [m for m in find_mistakes(experiment) if m.name not in explained]
 
 
 def of_reference(reference: Experiment, said: Iterable[str] = ()) -> tuple[str, ...]:
@@ -244,9 +250,7 @@ def mistaken(problem: Problem, validation: Sequence[Prediction], impossible: boo
     masses = problem.experiment.robot.nominal[:, 0]
     if not impossible and masses.any() and all(judged(p).mood == "good" for p in validation):
         return []
-    from bayesid.validation.mistakes.search import find_mistakes
-
-    return [found.text for found in find_mistakes(problem.experiment)]
+    return [m.text for m in _unexplained(problem.experiment, [e.name for e in problem.row_model.effects])]
 
 
 def impossible_signs(estimate: Estimate, problem: Problem) -> list[str]:

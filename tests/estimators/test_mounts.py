@@ -111,3 +111,20 @@ def test_intervals_of_a_mount_hold_what_encoders_make_of_it(tmp_path):
         np.testing.assert_allclose(getattr(kept, one), getattr(estimate, one), rtol=1e-12)
     assert np.sqrt(np.mean(np.square(plain), axis=0))[1] > 2.0
     assert np.all(np.sqrt(np.mean(np.square(unbiased), axis=0)) < 1.3)
+
+
+def test_a_posterior_of_a_mount_is_told_without_what_encoders_make_of_it(tmp_path):
+    """`sample` told another mount than `identify`; weights, readings and errors are the same."""
+    recording = recorded(tmp_path, 9.0, 0.05, 1e-4, 3)
+    estimate = bayesid.identify(recording, effects="base_compliance").estimate
+    posterior = bayesid.sample(recording, 1000, effects="base_compliance", prior="flat", keep_going=True)
+    found, error = posterior.parameters(), estimate.expected_error[-2:]
+    np.testing.assert_allclose(posterior.expected_error[-2:], error, rtol=0.1)
+    assert error[1] > estimate.full_std[-1]
+    assert np.all(np.abs(found.values[-2:] - estimate.unbiased[-2:]) < 0.2 * estimate.unbiased_std[-2:])
+    np.testing.assert_allclose(found.std[-2:], estimate.unbiased_std[-2:], rtol=0.15)
+    np.testing.assert_allclose(posterior.effect_draws[..., -2:].mean(axis=(0, 1)), estimate.solution[-2:], rtol=0.02)
+    posterior.write(tmp_path / "kept")
+    for kept in (bayesid.load(tmp_path / "kept"), bayesid.load(tmp_path / "kept" / "posterior.nc")):
+        np.testing.assert_allclose(kept.parameters().values[-2:], found.values[-2:], rtol=1e-9)
+        np.testing.assert_allclose(kept.parameters(0.9).low[-2:], posterior.parameters(0.9).low[-2:], rtol=1e-9)

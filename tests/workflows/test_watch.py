@@ -9,8 +9,10 @@ import pytest
 import bayesid
 from bayesid.cli import main
 from bayesid.recordings.experiment import Sensor
+from bayesid.regression.options import FitOptions
+from bayesid.regression.problem import prepare
 from bayesid.validation.mistakes.candidates import Mistake
-from bayesid.workflows.warnings import mistakes
+from bayesid.workflows.warnings import mistaken, mistakes
 from tests.simulated import experiment, puma2
 
 TOOL = {
@@ -157,6 +159,9 @@ def test_what_gives_explains_that_readings_lag(series, monkeypatch, name):
     late = Mistake("wrench_delay", "", "The wrench is late", "wrench", 40.0, (), ())
     monkeypatch.setattr("bayesid.validation.mistakes.search.find_mistakes", lambda _: (late,))
     assert bool(mistakes(series[0], [name])) == (name == "viscous_friction")
+    where = {"sensor_delay": "sensor", "base_compliance": "base"}.get(name, "joint1")
+    problem = prepare(series[0], FitOptions(effects=[f"{name}@{where}"]))
+    assert bool(mistaken(problem, (), impossible=True)) == (name == "viscous_friction")
 
 
 @pytest.mark.parametrize("name", ["sensor_rotation", "base_tilt", "sensor_offset"])
