@@ -7,7 +7,7 @@ are unlike the URDF's: intervals of an estimator that knows the URDF are to hold
 
 One kind, ``servo``, is made as a real recording comes about: a controller makes joints with friction follow another motion each
 time, so that accelerations jump a little wherever a joint reverses, faster than any encoder shows; each reading is the mean
-over its sample's time; and there is no static run.
+over its sample's time; and there is no static run. ``MuJoCo`` is the same with arm, friction and sensor simulated by that engine.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.tasks import cluster, map_tasks
+from tests.studies import mujoco_plant
 from tests.studies.coverage_case import ARMS, DURATION, NOISE, OFFSET, RATE, Setup, links_unlike, setup
 from tests.studies.interval_coverage import LEVEL, NAMES, band
 from tests.studies.page import parsed, write_numbers, write_page
@@ -54,12 +55,18 @@ CASES = {
     for kind in ("white", "counts")
     for std in STDS
     if std > 0.0 or kind == "white"
-} | {"puma, servo, 2e-05 rad": ("puma", 2e-5, "servo")}
+} | {
+    "puma, servo, 2e-05 rad": ("puma", 2e-5, "servo"),
+    "puma, MuJoCo, 2e-05 rad": ("puma", 2e-5, "MuJoCo"),
+    "ur5, MuJoCo, 2e-05 rad": ("ur5", 2e-5, "MuJoCo"),
+}
 #: Frequencies of a controlled motion, multiples of 0.05 Hz, and its largest acceleration [rad/s^2].
 WAVES, FASTEST = np.arange(8, 23), 5.0
 #: The controller's natural frequency [Hz] and damping ratio, Coulomb friction of each joint [N m] and the speed [rad/s] that it
-#: reverses within, and steps of the simulation a sample.
-CONTROL, DAMPING, COULOMB, REVERSAL, STEPS = 12.0, 0.7, 1.5, 0.004, 8
+#: reverses within.
+CONTROL, DAMPING, COULOMB, REVERSAL = 12.0, 0.7, 1.5, 0.004
+#: Steps of the simulation a sample: MuJoCo's are of first order.
+STEPS = {"pinocchio": 8, "mujoco": 16}
 
 
 @cache
@@ -82,14 +89,18 @@ def _with_active_joints(case: Setup, model: pin.Model, first: int) -> pin.Model:
     return model
 
 
-def servo(arm: str, links: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (N, n) of joints with friction that a controller moves, and the mean wrench over each sample's time (N, 6)."""
+def servo(arm: str, links: np.ndarray, rng: np.random.Generator, engine: str) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, n) of joints with friction that a controller moves, and the mean wrench over each sample's time (N, 6).
+
+    The ``engine`` moves them and makes the wrench: ``pinocchio`` or ``mujoco``.
+    """
     case = setup(arm)
     model = _with_active_joints(case, pin.buildModelFromXML(case.arm.urdf()), 1)
     for joint, link in enumerate(links.reshape(-1, 10)):
         model.inertias[joint + 1] = pin.Inertia.FromDynamicParameters(link)
-    data, step, n = model.createData(), 1.0 / RATE / STEPS, case.robot.n
-    times = step * np.arange(round(RATE * DURATION) * STEPS)
+    steps = STEPS[engine]
+    data, step, n = model.createData(), 1.0 / RATE / steps, case.robot.n
+    times = step * np.arange(round(RATE * DURATION) * steps)
     rate, phase = 2 * np.pi * 0.05 * WAVES, rng.uniform(0.0, 2 * np.pi, (len(WAVES), n))
     size, angle = rng.normal(size=(len(WAVES), n)), times[:, None, None] * rate[:, None] + phase
     wanted_a = np.sum(size * np.cos(angle), axis=1)
@@ -98,19 +109,28 @@ def servo(arm: str, links: np.ndarray, rng: np.random.Generator) -> tuple[np.nda
     wanted = case.centre - np.sum(size / rate[:, None] ** 2 * np.cos(angle), axis=1)
     wanted_v, wanted_a = np.sum(size / rate[:, None] * np.sin(angle), axis=1), scale * wanted_a
     frequency = 2 * np.pi * CONTROL
-    q, v = wanted[0].copy(), wanted_v[0].copy()
-    states = np.empty((3, len(times), n))
-    for k in range(len(times)):
+
+    def torque(k: int, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """What the controller asks of the drives."""
         asked = wanted_a[k] + 2 * DAMPING * frequency * (wanted_v[k] - v) + frequency**2 * (wanted[k] - q)
-        torque = pin.rnea(model, data, q, v, asked) - COULOMB * np.tanh(v / REVERSAL)
-        a = pin.aba(model, data, q, v, torque)
-        states[:, k] = q, v + 0.5 * step * a, a  # the speed at the time of the position, as central differences have it
-        v = v + step * a
-        q = q + step * v
-    averaged = wrench(arm, links, *states).reshape(-1, STEPS, 6).mean(axis=1)
+        return pin.rnea(model, data, q, v, asked)
+
+    q, v = wanted[0].copy(), wanted_v[0].copy()
+    if engine == "mujoco":
+        moved, read = mujoco_plant.recorded(
+            model, links, COULOMB, step, (q, v), (partial(torque, k) for k in range(len(times)))
+        )  # fmt: skip
+    else:
+        states = np.empty((3, len(times), n))
+        for k in range(len(times)):
+            a = pin.aba(model, data, q, v, torque(k, q, v) - COULOMB * np.tanh(v / REVERSAL))
+            states[:, k] = q, v + 0.5 * step * a, a  # the speed at the time of the position, as central differences have it
+            v = v + step * a
+            q = q + step * v
+        moved, read = states[0], wrench(arm, links, *states)
     # A sample's position is that of the middle of its time, between two steps.
-    middle = states[0].reshape(-1, STEPS, n)[:, STEPS // 2 - 1 : STEPS // 2 + 1].mean(axis=1)
-    return middle, averaged
+    middle = moved.reshape(-1, steps, n)[:, steps // 2 - 1 : steps // 2 + 1].mean(axis=1)
+    return middle, read.reshape(-1, steps, 6).mean(axis=1)
 
 
 def wrench(arm: str, links: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -130,8 +150,8 @@ def record(name: str, rng: np.random.Generator) -> tuple[Experiment, np.ndarray]
     case = setup(arm)
     links = links_unlike(case.robot, rng)
     times = np.arange(round(RATE * DURATION)) / RATE
-    if kind == "servo":
-        q, read = servo(arm, links, rng)
+    if kind in ("servo", "MuJoCo"):
+        q, read = servo(arm, links, rng, "pinocchio" if kind == "servo" else "mujoco")
         q, read = q + std * rng.normal(size=q.shape), read + NOISE * rng.normal(size=read.shape)
         motion = Motion("servo", "identification", Table(times, q, wrench=read))
         return Experiment(arm, case.robot, (motion,), Sensor()), links
@@ -206,7 +226,8 @@ stretched and sheared by a tenth, and displaced by about 0.1 m, which is a wrist
 
 *servo* is another kind of recording: a controller of {{ control }} Hz moves joints with {{ coulomb }} N m of friction along
 another motion each time, so that accelerations jump a little wherever a joint reverses, faster than encoders show; readings are
-means over a sample's time, there is no static run, and no error is stated.
+means over a sample's time, there is no static run, and no error is stated. *MuJoCo* is the same, with the arm, its friction and
+the sensor simulated by MuJoCo.
 {% for arm, table in tables.items() %}
 
 ## {{ arm }}
