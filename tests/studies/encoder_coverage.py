@@ -32,7 +32,6 @@ from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.tasks import cluster, map_tasks
-from tests.studies import mujoco_plant
 from tests.studies.coverage_case import ARMS, DURATION, NOISE, OFFSET, RATE, Setup, links_unlike, setup
 from tests.studies.interval_coverage import LEVEL, NAMES, band
 from tests.studies.page import parsed, write_numbers, write_page
@@ -117,6 +116,8 @@ def servo(arm: str, links: np.ndarray, rng: np.random.Generator, engine: str) ->
 
     q, v = wanted[0].copy(), wanted_v[0].copy()
     if engine == "mujoco":
+        from tests.studies import mujoco_plant  # only here is MuJoCo needed
+
         moved, read = mujoco_plant.recorded(
             model, links, COULOMB, step, (q, v), (partial(torque, k) for k in range(len(times)))
         )  # fmt: skip

@@ -9,15 +9,17 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.studies import mujoco_plant
 from tests.studies.coverage_case import ARMS, links_unlike, setup
 from tests.studies.encoder_coverage import plant, wrench
 
+pytest.importorskip("mujoco")
 STEP, COUNT = 5e-4, 2000
 
 
 @pytest.mark.parametrize("arm", ARMS)
 def test_the_wrench_is_that_of_the_motion(arm):
+    from tests.studies import mujoco_plant
+
     case, model, step = setup(arm), plant(arm), STEP
     links = links_unlike(case.robot, np.random.default_rng(1))
     still = np.zeros(case.robot.n)
