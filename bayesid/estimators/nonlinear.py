@@ -214,9 +214,9 @@ def default_method(problem: Problem) -> str:
     return "gls" if problem.row_model.rings else DEFAULT_METHOD
 
 
-def settled(problem: Problem) -> Problem:
-    """The problem linearised at its least-squares estimate; the same where nothing has to be."""
-    return problem if problem.row_model.point is None else _found(problem, default_method(problem)).problem
+def settled(problem: Problem, method: str | Estimator | None = None) -> Problem:
+    """The problem linearised at its estimate, by default that of least squares; the same where nothing has to be."""
+    return problem if problem.row_model.point is None else _found(problem, method or default_method(problem)).problem
 
 
 def _bounds(problem: Problem, here: Point) -> tuple[np.ndarray, np.ndarray]:

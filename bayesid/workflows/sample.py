@@ -14,7 +14,7 @@ from bayesid.arguments import argument, with_given
 from bayesid.errors import InputError, require_one_of
 from bayesid.estimators import Estimate
 from bayesid.estimators.attenuation import expected_error
-from bayesid.estimators.conic.physical import against_prior
+from bayesid.estimators.conic.physical import Physical, against_prior
 from bayesid.estimators.estimator import largest_autocorrelation
 from bayesid.estimators.nonlinear import settled
 from bayesid.posterior.model import PosteriorModel
@@ -146,7 +146,9 @@ def sample(
             experiment = as_experiment(experiment, "a Regression")
             clock("regressor")
             problem = prepare(experiment, options)
-            problem = settled(problem)
+            rel_std = _prior(problem.regression, prior, prior_std)[1]
+            # Where the prior pulls all to other values than the data alone, readings are linearised there.
+            problem = settled(problem, Physical(rel_std=rel_std) if rel_std else None)
             regression = problem.regression
         chosen, rel_std = _prior(regression, prior, prior_std)
         clock("noise")
