@@ -201,13 +201,15 @@ def summarise(errors: np.ndarray, stds: np.ndarray) -> dict[str, Any]:
     """Coverage and size of the errors of every fit; errors in units of those of `wls`, parameter by parameter."""
     count, _, parameters = errors.shape
     rms = np.sqrt(np.mean(errors**2, axis=0))
-    inside = np.mean(np.abs(errors) <= norm.ppf(0.5 + LEVEL / 2) * stds, axis=0)
+    stated = np.isfinite(stds).all(axis=2)
+    held = np.abs(errors) <= norm.ppf(0.5 + LEVEL / 2) * stds
     fits = {}
     for k, fit in enumerate((*METHODS, POSTERIOR)):
-        z = errors[:, k] / stds[:, k]
+        own = stated[:, k]
+        inside, z = held[own, k].mean(axis=0), errors[own, k] / stds[own, k]
         fits[fit] = {
-            "mean": float(inside[k].mean()), "lowest": float(inside[k].min()), "highest": float(inside[k].max()),
-            "rms_z": float(np.sqrt(np.mean(z**2))), "error": float(np.median(rms[k] / rms[METHODS.index("wls")])),
+            "mean": float(inside.mean()), "lowest": float(inside.min()), "highest": float(inside.max()),
+            "stated": float(own.mean()), "rms_z": float(np.sqrt(np.mean(z**2))), "error": float(np.median(rms[k] / rms[METHODS.index("wls")])),
         }  # fmt: skip
     return {"recordings": count, "parameters": parameters, "band": band(count, parameters), "fits": fits}
 
@@ -221,7 +223,8 @@ are those of [coverage](../coverage/README.md), motions {{ faster }} times faste
 `python -m tests.studies.encoder_coverage` made this page and [results.json](results.json) from seed {{ seed }}.
 
 In each cell: *coverage* in per cent of all parameters, in brackets that of the worst one, and the root mean square error in units
-of the standard deviation that was stated, which should be 1. *Error* is the root mean square error in units of that of `wls`,
+of the standard deviation that was stated, which should be 1; after a slash the share of recordings with an interval, where not
+all have one. *Error* is the root mean square error in units of that of `wls`,
 median of all parameters, least and most of these kinds. Every recording is of another robot, whose links are those of the URDF
 stretched and sheared by a tenth, and displaced by about 0.1 m, which is a wrist's length. `sdp` knows the URDF alone.
 
@@ -258,13 +261,18 @@ def tables(cases: dict[str, Any]) -> dict[str, Any]:
             each = [case["fits"][fit] for case in own.values()]
             below = ["**below** " if f["lowest"] < one["band"][0] else "" for f in each]
             cells = [
-                f"{100 * f['mean']:.1f} ({b}{100 * f['lowest']:.0f}), {f['rms_z']:.2f}" for b, f in zip(below, each, strict=True)
+                f"{100 * f['mean']:.1f} ({b}{100 * f['lowest']:.0f}), {f['rms_z']:.2f}" + _share(f["stated"])
+                for b, f in zip(below, each, strict=True)
             ]
             errors = [f["error"] for f in each]
             rows.append([f"`{fit}`" if fit in METHODS else fit, *cells, f"{min(errors):.2f} to {max(errors):.2f}"])
         same = {k: one[k] for k in ("recordings", "parameters", "band")}
         out[NAMES[arm]] = {**same, "head": ["fit", *kinds, "error"], "rows": rows}
     return out
+
+
+def _share(stated: float) -> str:
+    return "" if stated == 1.0 else f" / {100 * stated:.0f}"
 
 
 def title(name: str) -> str:
