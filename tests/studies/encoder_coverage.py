@@ -209,7 +209,8 @@ def summarise(errors: np.ndarray, stds: np.ndarray) -> dict[str, Any]:
         inside, z = held[own, k].mean(axis=0), errors[own, k] / stds[own, k]
         fits[fit] = {
             "mean": float(inside.mean()), "lowest": float(inside.min()), "highest": float(inside.max()),
-            "stated": float(own.mean()), "rms_z": float(np.sqrt(np.mean(z**2))), "error": float(np.median(rms[k] / rms[METHODS.index("wls")])),
+            "stated": float(own.mean()), "rms_z": float(np.sqrt(np.mean(z**2))),
+            "error": float(np.median(rms[k] / rms[METHODS.index("wls")])),
         }  # fmt: skip
     return {"recordings": count, "parameters": parameters, "band": band(count, parameters), "fits": fits}
 
