@@ -89,8 +89,8 @@ def weighed_alone(experiment: Experiment, channel: str) -> int | None:
 def from_sensor(problem: Problem, estimate: Estimate, body: int) -> BodyKnowledge:
     """What a fit to the wrench of a sensor says of the one body that it carries, in that body's frame."""
     rank, own = estimate.base.rank, estimate.base.matrix[:, 10 * body : 10 * body + 10]
-    if has_valley(problem):
-        return BodyKnowledge.of(own, *along_mass(problem, estimate, np.linalg.pinv(own)[0]))
+    if (open_problem := with_valley(problem)) is not None:
+        return BodyKnowledge.of(own, *along_mass(open_problem, estimate, np.linalg.pinv(own)[0]))
     shown = np.flatnonzero(~estimate.undetermined[:rank])
     return BodyKnowledge.of(own[shown], estimate.values[shown], estimate.stated_covariance()[np.ix_(shown, shown)])
 
@@ -310,21 +310,27 @@ def _normal_inverse(x: np.ndarray) -> np.ndarray:
     return np.linalg.pinv((x / size).T @ (x / size), rcond=1e-12) / np.outer(size, size)
 
 
-def has_valley(problem: Problem) -> bool:
-    """Whether the model has a load on poses whose shape is estimated, so that it may trade weight for its own."""
+def with_valley(problem: Problem) -> Problem | None:
+    """The problem of poses with a load whose shape is estimated, so that it may trade weight for its own; None without such.
+
+    Shapes that a fit ran away with are estimated in it, too: what the readings leave open is for the profile to say.
+    """
     point = problem.row_model.point
     if point is None or not problem.at_rest:
-        return False
-    return any(isinstance(e, LoadEffect) and len(e.shape) > 1 for e in problem.row_model.effects) and bool(point.free.all())
+        return None
+    free = point.free if point.unsettled is None else point.free | point.unsettled
+    if not free.all() or not any(isinstance(e, LoadEffect) and len(e.shape) > 1 for e in problem.row_model.effects):
+        return None
+    return problem if point.free.all() else relinearised(problem, replace(point, free=free, unsettled=None))
 
 
 def along_mass(problem: Problem, estimate: Estimate, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Base parameters (r,) and covariance (r, r) by which the mass's interval is where the readings do not contradict it.
 
-    ``slope`` gives the mass from the base parameters (r,).
+    ``slope`` gives the mass from the base parameters (r,), the ``estimate`` the noise.
     """
     rank = len(slope)
-    held = HeldCombination(problem, estimate, np.concatenate([slope, np.zeros(len(estimate.solution) - rank)]))
+    held = HeldCombination(problem, estimate, np.concatenate([slope, np.zeros(len(problem.regression.effect_names))]))
     known = [held.free()]
     for _ in range(_ROUNDS):  # from the lowest point so far, until none is lower
         first = min(known, key=lambda p: p.chi2)
