@@ -136,6 +136,10 @@ class Estimate(HasParameters):
         What encoders' errors are expected to add to ``solution`` (p,), of effects that make much of them
         (`bayesid.estimators.attenuation`). `parameters` are without it; predictions are made with ``solution``, as it was fitted.
         None: nothing.
+    held_covariance
+        What the covariance of ``solution`` is larger by because shapes of effects, which were to be estimated, are held where the
+        fit stopped, but may be anything plausible (p, p) (`bayesid.estimators.held_shapes`). `parameters` count it; predictions,
+        of motions like those fitted, do not. None: nothing is held.
     """
 
     method: str
@@ -157,6 +161,7 @@ class Estimate(HasParameters):
     links: np.ndarray | None = None
     possible: np.ndarray | None = None
     expected_error: np.ndarray | None = None
+    held_covariance: np.ndarray | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -175,10 +180,10 @@ class Estimate(HasParameters):
         return None if self.full_covariance is None else self.full_covariance[:r, :r]
 
     def stated_covariance(self) -> np.ndarray:
-        """``full_covariance``; an `InputError` with the reason where there is none."""
+        """``full_covariance`` with ``held_covariance``; an `InputError` with the reason where there is none."""
         if self.full_covariance is None:
             raise InputError(f"{self.method} has no covariance: {self.interval_reason}")
-        return self.full_covariance
+        return self.full_covariance if self.held_covariance is None else self.full_covariance + self.held_covariance
 
     @property
     def full_std(self) -> np.ndarray:
@@ -194,8 +199,10 @@ class Estimate(HasParameters):
 
     @property
     def unbiased_std(self) -> np.ndarray:
-        """Standard deviations of ``unbiased`` (p,): an expected error is known about to its own size."""
-        return self.full_std if self.expected_error is None else np.hypot(self.full_std, self.expected_error)
+        """Standard deviations of ``unbiased`` (p,): an expected error is known about to its own size, and shapes may be held."""
+        error = 0.0 if self.expected_error is None else self.expected_error
+        held = 0.0 if self.held_covariance is None else standard_deviations(self.held_covariance)
+        return np.sqrt(self.full_std**2 + error**2 + held**2)
 
     @property
     def std(self) -> np.ndarray:
@@ -263,6 +270,7 @@ class Estimate(HasParameters):
             "full_covariance": None if self.full_covariance is None else self.full_covariance.tolist(),
             "full_covariance_names": [*self.names, *self.effect_names],
             "expected_error": None if self.expected_error is None else self.expected_error.tolist(),
+            "held_covariance": None if self.held_covariance is None else self.held_covariance.tolist(),
             "base_map": self.base.matrix.tolist(),
             "weight_in_offset": self.base.absorbed.tolist() if self.base.absorbed is not None else None,
             "link_parameter_names": list(self.base.parameter_names),

@@ -500,7 +500,7 @@ def _estimate(d: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> Est
     )  # fmt: skip
     values, std = _numbers(listed, "value"), _numbers(listed, "std")
     covariance = None if d["full_covariance"] is None else np.array(d["full_covariance"], float)
-    expected = None if d.get("expected_error") is None else np.array(d["expected_error"], float)
+    expected, held = (None if d.get(key) is None else np.array(d[key], float) for key in ("expected_error", "held_covariance"))
     kinds = [p["class"] for p in d["base_parameters"]]
     unknown = covariance is not None and np.isnan(std[rank:])
     number = {k: np.nan if v is None else v for k, v in (("condition", d["condition_number"]), *d["residual"].items())}
@@ -512,7 +512,7 @@ def _estimate(d: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> Est
         weak=np.array([*(k == "weak" for k in kinds), *(False for _ in effects)], bool), interval=d["interval"], noise={},
         rows=d["residual"]["rows"], condition_number=number["condition"], residual_rms=number["whitened_rms"],
         whiteness=number["whiteness"], interval_reason=d.get("interval_reason", ""), details=details,
-        possible=_possible(listed), expected_error=expected,
+        possible=_possible(listed), expected_error=expected, held_covariance=held,
     )  # fmt: skip
 
 

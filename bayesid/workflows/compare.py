@@ -14,6 +14,7 @@ from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.errors import BayesidError, EstimationError, InputError
 from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator, fit
 from bayesid.estimators.attenuation import with_expected_error
+from bayesid.estimators.held_shapes import with_held_shapes
 from bayesid.estimators.least_squares import LeastSquaresDetails
 from bayesid.estimators.nonlinear import settled
 from bayesid.estimators.weights import Weights, learn_weights
@@ -124,7 +125,8 @@ def compare(
             entries, baselines = [_with_own_links(e, regression) for e in entries], []
         else:
             floor = noise_floor(problem)
-            entries = [_predicted(_without_pull(e, problem, dict(chosen)[e.name]), problem, weights, floor) for e in entries]
+            told = [_told(e, problem, method) for (_, method), e in zip(chosen, entries, strict=True)]
+            entries = [_predicted(e, problem, weights, floor) for e in told]
             baselines = [
                 _predicted(Entry(e.method, text, e), own, weights, floor, baseline=True)
                 for text, own, e in nominal_estimates(problem, weights)
@@ -189,9 +191,11 @@ def _attempt(name: str, method: Estimator, regression: Regression) -> Entry:
     return Entry(name, description, estimate, seconds=time.perf_counter() - started)
 
 
-def _without_pull(entry: Entry, problem: Problem, method: Estimator) -> Entry:
-    """The entry with what encoders' errors are expected to add to values of its effects."""
-    return entry if entry.estimate is None else replace(entry, estimate=with_expected_error(problem, entry.estimate, method))
+def _told(entry: Entry, problem: Problem, method: Estimator) -> Entry:
+    """The entry with what encoders' errors are expected to add to values, and what shapes that are held leave open."""
+    if entry.estimate is None:
+        return entry
+    return replace(entry, estimate=with_held_shapes(problem, with_expected_error(problem, entry.estimate, method)))
 
 
 def _predicted(entry: Entry, problem: Problem, weights: Weights, floor: NoiseFloor | None, *, baseline: bool = False) -> Entry:

@@ -15,6 +15,7 @@ from bayesid.estimators import Estimate, Estimator, estimator
 from bayesid.estimators.attenuation import with_expected_error
 from bayesid.estimators.conic.physical import against_nominal
 from bayesid.estimators.factor import channel_grams, pilot_of
+from bayesid.estimators.held_shapes import with_held_shapes
 from bayesid.estimators.nonlinear import default_method, solve
 from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.complaints import listed
@@ -106,7 +107,7 @@ def identify(
             )
         else:  # everything is linearised at the estimate, which comes first
             problem, estimate = solve(problem, method, estimating)
-            estimate = with_expected_error(problem, estimate, method)
+            estimate = with_held_shapes(problem, with_expected_error(problem, estimate, method))
             alone, floor, flexible = {}, noise_floor(problem), None
         clock("prediction")
         # Fits of single motions and links need none of the predictions: all at once, the longest first.
@@ -137,7 +138,7 @@ def identify(
         validation=validation,
         agreements=tuple(agreements),
         static_alternative=alternative,
-        offset=own_offset(problem, estimate.solution[rank:], estimate.full_std[rank:], links.unconstrained),
+        offset=own_offset(problem, estimate.solution[rank:], estimate.unbiased_std[rank:], links.unconstrained),
         not_shown=not_shown,
         warnings=no_use,
         seconds=clock.stop(),
