@@ -300,6 +300,10 @@ class Effect(ABC):
         """Values that are tried exactly, one after the other (m, k): of an effect that no small amplitude can stand for."""
         return np.zeros((0, len(self.parameters)))
 
+    def starts_tried(self, around: Surroundings) -> np.ndarray:
+        """Values from which a fit may start, beside the usual ones (m, k): where that leads to another minimum."""
+        return np.zeros((0, len(self.parameters)))
+
     def from_harmonic(self, order: float, sine: float, cosine: float) -> tuple[float, ...]:
         """Values (k,) of ``sine sin(order q) + cosine cos(order q)``, where the effect has `harmonics`."""
         raise NotImplementedError(f"{self.spec} is no sine of the joint's position")

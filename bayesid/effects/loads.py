@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import product
 from math import inf
 
 import numpy as np
@@ -17,6 +18,8 @@ from bayesid.effects.families import LoadEffect, Loads
 CONTACT_RAMP = 0.2
 #: Lengths of a tether that an exact fit starts from [m].
 TETHER_LENGTHS = (0.8, 2.0)
+#: Along the axes, the edges and the diagonals of a cube.
+_DIRECTIONS = tuple(np.array(way) / np.linalg.norm(way) for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way))
 _POINT = tuple(
     Parameter(f"point_{axis}", "m", -1.0, 1.0, typical=x, linear=False) for axis, x in (("x", 0.05), ("y", 0.03), ("z", 0.08))
 )
@@ -106,6 +109,12 @@ class Tether(LoadEffect):
         centre = around.mean_places[self.joint or 0]
         at = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
         return (Linearisation(at, partial(_tethers, centre=centre), _pulls),)
+
+    def starts_tried(self, around):
+        # Anchors all around the link's mean place, a third of the length slack.
+        centre = around.mean_places[self.joint or 0]
+        stiffness = self.typical(around.robot)[0]
+        return np.array([[stiffness, 0.3 * x, *(centre + x * way), 0.0, 0.0, 0.0] for x in TETHER_LENGTHS for way in _DIRECTIONS])
 
 
 def _pulls(values: np.ndarray) -> np.ndarray:

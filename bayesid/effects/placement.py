@@ -147,3 +147,6 @@ class BaseCompliance(MountEffect):
 
     def trials(self, around):
         return np.column_stack([MOUNT_RESONANCES, np.full(len(MOUNT_RESONANCES), MOUNT_DAMPING)])
+
+    def starts_tried(self, around):
+        return self.trials(around)

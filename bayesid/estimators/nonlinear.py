@@ -3,13 +3,15 @@
 The readings are linearised at a point, estimated, and linearised again at the estimate, until it no longer moves. A step that
 makes the residual larger, or not a number, is halved [Deuflhard2011]_; where that does not help, the fit stops where it is. The
 estimate may then still point far away, along what the motions do not tell from other parameters, to where its linearisation says
-nothing. So parameters that readings are not linear in are held where the fit stopped, if it points further away than their
-standard deviations, and the others are fitted beside them.
+nothing. Then a descent within trust regions (`bayesid.estimators.exact_rows`) shows whether there is a minimum after all: of
+cables tied to any place, Gauss-Newton ran away with half. Parameters that readings are not linear in are held where the fit
+stopped, if it still points further away than their standard deviations, and the others are fitted beside them.
 
 From afar, a mount that rings looks stiff: the cost of a resonance has a valley as narrow as the resonance is sharp, and
-Gauss-Newton finds the bottom of the one that it starts in. So where no starting value of an effect that rings is stated, each
-of its own trials (`bayesid.effects.Effect.trials`) is held in turn, everything linear is fitted, and the one that leaves least
-is the start: least in ``sum_c log s_c``, s_c what channel c leaves, the likelihood of noise of unknown sizes.
+Gauss-Newton finds the bottom of the one that it starts in; and so with where a cable is tied. So where no starting value of
+such an effect is stated, each of its own trials (`bayesid.effects.Effect.starts_tried`) is held in turn, everything linear is
+fitted, and the one that leaves least is the start: least in ``sum_c log s_c``, s_c what channel c leaves, the likelihood of
+noise of unknown sizes.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ from bayesid.effects import Point, Surroundings, with_places
 from bayesid.effects.surroundings import surroundings_of
 from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, Huber, Physical, Student, estimator, fit
-from bayesid.estimators.factor import Pilot, whitened
+from bayesid.estimators.exact_rows import ExactRows, plausible, point_of, shapes
+from bayesid.estimators.factor import Factor, Pilot, whitened
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from bayesid.regression.blocks import residual_of
 from bayesid.regression.linalg import solve as least_squares
@@ -41,6 +44,8 @@ _ROUNDS = 3
 COVARIANCE_ALONE = (LeastSquares, Ridge, TruncatedSVD, Huber, Student, Physical)
 #: Standard deviations beyond which a value is out of what is plausible.
 _CERTAIN = 3.0
+#: Steps of a descent within trust regions at most, and the share of the sum of squares by which its last one is for the better.
+_DESCENT, _NEARLY = 40, 1e-4
 #: Steps at most, and how often each is halved until it makes the residual no larger; the next one is tried whole again.
 _STEPS, _HALVED = 15, 5
 
@@ -74,39 +79,67 @@ def _found(problem: Problem, method: str | Estimator) -> Fitted:
 
 
 def _started(problem: Problem) -> Problem:
-    """The problem linearised where the best trial of effects that ring is; the same where a value is stated or found already."""
+    """The problem linearised at the best start of its effects, all that is linear fitted beside their shapes.
+
+    Effects of which a value is stated, or found already, start there.
+    """
     for effect, own in with_places(problem.row_model.effects):
         point = problem.row_model.point
         assert point is not None
-        if effect.settling > 0.0 and point.free[own].all() and tuple(point.values[own]) == effect.starts:
+        if point.free[own].all() and tuple(point.values[own]) == effect.starts:
+            held = shapes(problem)
+            held[: own.start] = held[own.stop :] = False
             tried = [problem]
-            for values in effect.trials(_surroundings(problem)):
+            for values in effect.starts_tried(_surroundings(problem)):
                 there = point.values.copy()
                 there[own] = values
                 tried.append(relinearised(problem, replace(point, values=there)))
-            problem = min(tried, key=partial(_left, held=own))
-    return problem
+            problem = min(tried, key=partial(_left, held=held)) if len(tried) > 1 else problem
+    return _linear_fitted(problem)
 
 
-def _left(problem: Problem, held: slice) -> float:
-    """``sum_c log s_c`` with some of the effects' parameters held; infinite where readings are not finite."""
-    point = problem.row_model.point
+def _left(problem: Problem, held: np.ndarray) -> float:
+    """``sum_c log s_c`` with some of the effects' parameters held (e,); infinite where readings are not finite."""
+    found = _linear(problem, held)
+    return np.inf if found is None else float(np.sum(np.log(found[1])))
+
+
+def _linear(problem: Problem, held: np.ndarray) -> tuple[np.ndarray, np.ndarray, Factor] | None:
+    """The solution (p,) of the linearised rows with some of the effects' parameters held (e,).
+
+    With what it leaves by channel (c,), and the factor of the rows; None where readings are not finite.
+    """
+    point, blocks = problem.row_model.point, problem.regression.rows.pilot()
     assert point is not None
-    at = np.zeros(len(point.values), bool)
-    at[held] = True
-    at = np.concatenate([np.zeros(len(point.base), bool), at[point.free]])
-    solution, scale = np.concatenate([point.base, point.values[point.free]]), np.ones(len(problem.row_model.channels))
-    blocks = problem.regression.rows.pilot()
     if not all(np.isfinite(b.rows).all() for b in blocks):
-        return np.inf
+        return None
+    at = np.append(np.zeros(len(point.base), bool), held[point.free])
+    solution, scale = np.concatenate([point.base, point.values[point.free]]), np.ones(len(problem.row_model.channels))
     pilot = Pilot.of(blocks)
-    for _ in range(_STARTING_PASSES):
-        factor = pilot.weighted(scale)
+    factor = pilot.weighted(scale)
+    for k in range(_STARTING_PASSES):
+        factor = pilot.weighted(scale) if k else factor
         solution[~at] = least_squares(factor.matrix[:, ~at], factor.target - factor.matrix[:, at] @ solution[at])
         residual = np.concatenate([b.residual(solution) for b in blocks])
         scale = np.sqrt(np.mean(residual**2, axis=0))
         scale = np.maximum(scale, 1e-9 * max(float(scale.max()), 1e-300))
-    return float(np.sum(np.log(scale)))
+    return solution, scale, factor
+
+
+def _linear_fitted(problem: Problem) -> Problem:
+    """The problem linearised where all that readings are linear in suits the shapes; effects that would be impossible stay.
+
+    From nominal links most steps are for the better, also those that lead shapes astray.
+    """
+    here, held = point_of(problem), shapes(problem)
+    if not (held & here.free).any() or (found := _linear(problem, held)) is None:
+        return problem
+    solution, _, factor = found
+    rank, (low, high) = problem.row_model.base.rank, plausible(problem)
+    fitted, now = solution[rank:], here.values[here.free]
+    values = here.values.copy()
+    values[here.free] = np.where((fitted > low) & (fitted < high) & ~factor.undetermined[rank:], fitted, now)
+    return relinearised(problem, _point_at(problem, here, solution[:rank], ~factor.undetermined[:rank], values))
 
 
 def _surroundings(problem: Problem) -> Surroundings:
@@ -120,27 +153,45 @@ def _surroundings(problem: Problem) -> Surroundings:
 
 
 def _minimised(problem: Problem, method: str | Estimator) -> Fitted:
+    """The minimum near where a problem is linearised; shapes that run away are held."""
     if not all(np.isfinite(block.rows).all() for block in problem.regression.rows.blocks()):
         specs = ", ".join(e.spec for e in problem.row_model.effects)
         raise InputError(f"readings are not finite where {specs} start; state other values in [model.values]")
+    now = _stepped_to_end(problem, method)
+    if np.any(_far(now.problem, now.estimate) > 1.0) and not problem.row_model.rings:
+        now = _stepped_to_end(_descended(problem), method)
+    while np.any((far := _far(now.problem, now.estimate)) > 1.0):
+        # One effect at a time: without the one that ran furthest the others may settle.
+        point = point_of(now.problem)
+        furthest = (far == far.max()) & point.free & shapes(now.problem)
+        unsettled = furthest if point.unsettled is None else point.unsettled | furthest
+        now = _stepped_to_end(relinearised(now.problem, replace(point, free=point.free & ~furthest, unsettled=unsettled)), method)
+    return now
+
+
+def _stepped_to_end(problem: Problem, method: str | Estimator) -> Fitted:
+    """Where steps of Gauss-Newton end."""
     now = Fitted(problem, method)
     for _ in range(_STEPS):
         if (then := now.next()) is None:
             break
         now = then
-    point, far = now.problem.row_model.point, _far(now.problem, now.estimate)
-    if point is None or not np.any(far > 1.0):
-        return now
-    # One effect at a time: without the one that ran furthest the others may settle.
-    furthest = (far == far.max()) & point.free & _shapes(now.problem)
-    unsettled = furthest if point.unsettled is None else point.unsettled | furthest
-    return _minimised(relinearised(now.problem, replace(point, free=point.free & ~furthest, unsettled=unsettled)), method)
+    return now
+
+
+def _descended(problem: Problem) -> Problem:
+    """The problem linearised where a descent within trust regions ends, with channels weighted by what the start leaves."""
+    found = _linear(problem, shapes(problem))
+    if found is None:
+        return problem
+    exact = ExactRows(problem, dict.fromkeys(("trajectory", "poses"), found[1]))
+    return exact.at(exact.least(exact.start, tolerance=_NEARLY, most=_DESCENT)[0])
 
 
 def ran_away(problem: Problem, estimate: Estimate) -> np.ndarray:
     """Which of all effects' parameters are shapes of effects that an estimate has far from where it is linearised (e,)."""
     point = problem.row_model.point
-    return np.zeros(len(problem.row_model.free), bool) if point is None else (_far(problem, estimate) > 1.0) & _shapes(problem)
+    return np.zeros(len(problem.row_model.free), bool) if point is None else (_far(problem, estimate) > 1.0) & shapes(problem)
 
 
 def _far(problem: Problem, estimate: Estimate) -> np.ndarray:
@@ -152,20 +203,15 @@ def _far(problem: Problem, estimate: Estimate) -> np.ndarray:
     out = np.zeros(len(row_model.free))
     if point is None:
         return out
-    (low, high), now = _bounds(problem, point), point.values[point.free]
+    (low, high), now = plausible(problem), point.values[point.free]
     values, std = estimate.solution[row_model.base.rank :], estimate.full_std[row_model.base.rank :]
     known = np.isfinite(std) & (std > 0.0)
     outside = np.maximum(low - values, values - high) > _CERTAIN * np.where(known, std, 0.0)
     out[point.free] = np.where(outside, np.inf, np.abs(values - now) / np.where(known, std, np.inf))
-    shapes = _shapes(problem) & point.free
+    held = shapes(problem) & point.free
     for _, own in with_places(row_model.effects):
-        out[own] = out[own].max() if shapes[own].any() else 0.0
+        out[own] = out[own].max() if held[own].any() else 0.0
     return out
-
-
-def _shapes(problem: Problem) -> np.ndarray:
-    """Which of all effects' parameters readings are not linear in (e,)."""
-    return np.array([key in e.shape for e in problem.row_model.effects for key in e.parameters], bool)
 
 
 @dataclass(frozen=True)
@@ -219,18 +265,6 @@ def settled(problem: Problem, method: str | Estimator | None = None) -> Problem:
     return problem if problem.row_model.point is None else _found(problem, method or default_method(problem)).problem
 
 
-def _bounds(problem: Problem, here: Point) -> tuple[np.ndarray, np.ndarray]:
-    """Plausible ranges of the effects' parameters that are estimated.
-
-    What readings are linear in has none on a side where it is out already, as a negative friction near zero speed is that a
-    diagnosis found. A step back to the bound would make all else worse, so that nothing moved.
-    """
-    effects, now = problem.row_model.effects, here.values[here.free]
-    low, high = (np.array([v for e in effects for v in getattr(e, side)])[here.free] for side in ("lower", "upper"))
-    linear = ~_shapes(problem)[here.free]
-    return np.where(linear & (now < low), -np.inf, low), np.where(linear & (now > high), np.inf, high)
-
-
 def _within_bounds(problem: Problem, here: Point, estimate: Estimate) -> Estimate:
     """The estimate with parameters held at a bound where they stand at one and would go beyond.
 
@@ -240,7 +274,7 @@ def _within_bounds(problem: Problem, here: Point, estimate: Estimate) -> Estimat
     if estimate.full_covariance is None:
         return estimate
     rank = problem.row_model.base.rank
-    (low, high), now = _bounds(problem, here), here.values[here.free]
+    (low, high), now = plausible(problem), here.values[here.free]
     solution, covariance = estimate.solution, estimate.full_covariance
     held = np.zeros(len(solution), bool)
     for _ in range(len(now)):
@@ -259,16 +293,21 @@ def _within_bounds(problem: Problem, here: Point, estimate: Estimate) -> Estimat
 def _stepped(problem: Problem, here: Point, estimate: Estimate, step: np.ndarray, share: float) -> Point:
     """The point a share of the way towards the estimate, within what is plausible."""
     row_model = problem.row_model
-    low, high = _bounds(problem, here)
+    low, high = plausible(problem)
     # A shape that cannot be negative shrinks by steps: none jumps to its limit, where nothing moves any more.
-    shape = _shapes(problem)[here.free]
+    shape = shapes(problem)[here.free]
     now = here.values[here.free]
     low = np.where(shape & (low >= 0.0), np.maximum(low, 0.4 * now), low)
     values = here.values.copy()
     values[here.free] = np.clip(values[here.free] + share * step, low, high)
-    seen = ~estimate.undetermined[: row_model.base.rank]
-    wanted = here.base + share * np.where(seen, estimate.values - here.base, 0.0)
-    links = nearest_links(row_model.robot, row_model.base, wanted, seen)
+    wanted = here.base + share * (estimate.values - here.base)
+    return _point_at(problem, here, wanted, ~estimate.undetermined[: row_model.base.rank], values)
+
+
+def _point_at(problem: Problem, here: Point, wanted: np.ndarray, seen: np.ndarray, values: np.ndarray) -> Point:
+    """The point with links nearest to the nominal ones that have those wanted base parameters (r,) that are seen."""
+    row_model = problem.row_model
+    links = nearest_links(row_model.robot, row_model.base, np.where(seen, wanted, here.base), seen)
     absorbed = absorbed_offset(row_model.base, links)
     base = row_model.base.matrix @ links
     return replace(here, links=links.reshape(-1, 10), base=base, values=values, absorbed=absorbed)

@@ -25,11 +25,9 @@ link.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from math import inf
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from bayesid.arguments import argument
 from bayesid.design.payload.body import BodyKnowledge
@@ -37,13 +35,14 @@ from bayesid.diagnosis.changes.evidence import amplitudes
 from bayesid.diagnosis.changes.findings import ReferenceComparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
 from bayesid.diagnosis.changes.selection import Accepted
-from bayesid.dynamics.base_parameters import nearest_links, structural_base
+from bayesid.dynamics.base_parameters import structural_base
 from bayesid.effects.bodies import Payload
 from bayesid.effects.families import LoadEffect
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
+from bayesid.estimators.exact_rows import ExactRows
 from bayesid.recordings.experiment import Experiment
-from bayesid.regression.problem import Problem, absorbed_offset, relinearised
+from bayesid.regression.problem import Problem, relinearised
 from bayesid.robot.prior import Prior, assumed_links, guessed_bodies
 from bayesid.robot.robot import Robot, joint_index, load_robot
 from bayesid.rounding import HALF
@@ -225,19 +224,11 @@ class ProfilePoint:
 class HeldCombination:
     """Sums of squares with a combination of the base parameters held."""
 
-    #: A fit to readings that are not linear in its effects.
-    problem: Problem
-    estimate: Estimate
+    exact: ExactRows  # of a fit to readings that are not linear in its effects
     slope: np.ndarray  # the combination that is held (p,), of base parameters alone
-    _last: tuple[np.ndarray, np.ndarray, np.ndarray] | None = field(default=None, init=False)
 
     def __post_init__(self):
-        model, point = self.problem.row_model, self.problem.row_model.point
-        assert point is not None
-        free = np.full(model.base.rank, inf)
-        self.start = np.concatenate([point.base, point.values[point.free]])
-        self.low = np.concatenate([-free, np.array([v for e in model.effects for v in e.lower])[point.free]])
-        self.high = np.concatenate([free, np.array([v for e in model.effects for v in e.upper])[point.free]])
+        self.low, self.high = self.exact.bounds
         pivot = int(np.argmax(np.abs(self.slope)))
         self.kept = np.arange(len(self.slope)) != pivot
         # All parameters from those that are kept: theta = basis z + offset m.
@@ -245,49 +236,19 @@ class HeldCombination:
         self.basis[pivot] = -self.slope[self.kept] / self.slope[pivot]
         self.offset = np.where(self.kept, 0.0, 1.0 / self.slope[pivot])
 
-    def rows(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Prediction less readings in units of the noise (n,), and its derivatives (n, p)."""
-        if self._last is not None and np.array_equal(self._last[0], at):
-            return self._last[1:]
-        model, point = self.problem.row_model, self.problem.row_model.point
-        assert point is not None
-        base, values = at[: model.base.rank], model.every_value(at[model.base.rank :])
-        links = nearest_links(model.robot, model.base, base)
-        absorbed = absorbed_offset(model.base, links)
-        there = replace(point, links=links.reshape(-1, 10), base=base, values=values, absorbed=absorbed)
-        left, slopes = [], []
-        for block in relinearised(self.problem, there).regression.rows.blocks():
-            std = (self.estimate.noise.get(block.group) or next(iter(self.estimate.noise.values()))).std
-            left.append((-block.residual(at) / std).ravel())
-            slopes.append((block.matrix / std[:, None]).reshape(-1, len(at)))
-        self._last = at.copy(), np.concatenate(left), np.concatenate(slopes)
-        return self._last[1:]
-
     def least(self, mass: float, start: np.ndarray) -> ProfilePoint:
         """The least sum of squares with the mass held, from a start or from where its tangent leads, whichever is lower."""
         along = self._inverse(start) @ self.slope
         ahead = start + along * (mass - self.slope @ start) / (self.slope @ along)
         tried = [np.clip(x, self.low, self.high) for x in (start, ahead)]
-        heights = [np.sum(self.rows(self.basis @ x[self.kept] + self.offset * mass)[0] ** 2) for x in tried]
-        return self._least(tried[int(np.argmin(heights))], self.basis, self.offset * mass)
-
-    def _least(self, start: np.ndarray, basis: np.ndarray, offset: np.ndarray) -> ProfilePoint:
-        kept = np.ones(len(start), bool) if basis.shape[1] == len(start) else self.kept
-        low, high = self.low[kept], self.high[kept]
-        room = 1e-9 * np.minimum(1.0, np.where(np.isfinite(high - low), high - low, 1.0))
-        found = least_squares(
-            lambda z: self.rows(basis @ z + offset)[0], np.clip(start[kept], low + room, high - room),
-            lambda z: self.rows(basis @ z + offset)[1] @ basis,  # pyright: ignore[reportArgumentType]
-            bounds=(low, high), x_scale="jac", ftol=1e-6, xtol=1e-9, gtol=1e-9, max_nfev=60,
-        )  # fmt: skip
-        at = basis @ found.x + offset
-        return ProfilePoint(float(self.slope @ at), 2.0 * float(found.cost), at)
+        heights = [np.sum(self.exact.rows(self.basis @ x[self.kept] + self.offset * mass)[0] ** 2) for x in tried]
+        at, chi2 = self.exact.least(tried[int(np.argmin(heights))], self.kept, self.basis, self.offset * mass)
+        return ProfilePoint(float(self.slope @ at), chi2, at)
 
     def free(self) -> ProfilePoint:
         """The least sum of squares with nothing held, in the valley of the fit."""
-        found = self._least(self.start, np.eye(len(self.start)), np.zeros(len(self.start)))
-        mass = max(float(self.slope @ found.at), 0.0)
-        return self.least(mass, found.at)
+        at, _ = self.exact.least(self.exact.start)
+        return self.least(max(float(self.slope @ at), 0.0), at)
 
     def variance(self, at: np.ndarray) -> float:
         """Variance of the mass by white noise, linearised."""
@@ -295,13 +256,13 @@ class HeldCombination:
 
     def _inverse(self, at: np.ndarray) -> np.ndarray:
         """Inverse of the normal matrix at a point (p, p)."""
-        return _normal_inverse(self.rows(at)[1])
+        return _normal_inverse(self.exact.rows(at)[1])
 
     def covariance(self, at: np.ndarray) -> np.ndarray:
         """Covariance of all parameters beside the mass, by white noise (p, p); those at their bounds are known."""
         inside = ((at > self.low + 1e-6) & (at < self.high - 1e-6))[self.kept]
         basis = self.basis[:, inside]
-        return basis @ _normal_inverse(self.rows(at)[1] @ basis) @ basis.T
+        return basis @ _normal_inverse(self.exact.rows(at)[1] @ basis) @ basis.T
 
 
 def _normal_inverse(x: np.ndarray) -> np.ndarray:
@@ -329,8 +290,10 @@ def along_mass(problem: Problem, estimate: Estimate, slope: np.ndarray) -> tuple
 
     ``slope`` gives the mass from the base parameters (r,), the ``estimate`` the noise.
     """
-    rank = len(slope)
-    held = HeldCombination(problem, estimate, np.concatenate([slope, np.zeros(len(problem.regression.effect_names))]))
+    rank, any_noise = len(slope), next(iter(estimate.noise.values()))
+    std = {block.group: estimate.noise.get(block.group, any_noise).std for block in problem.regression.rows.pilot()}
+    exact = ExactRows(problem, std)
+    held = HeldCombination(exact, np.concatenate([slope, np.zeros(len(exact.start) - rank)]))
     known = [held.free()]
     for _ in range(_ROUNDS):  # from the lowest point so far, until none is lower
         first = min(known, key=lambda p: p.chi2)
@@ -340,7 +303,7 @@ def along_mass(problem: Problem, estimate: Estimate, slope: np.ndarray) -> tuple
     known.sort(key=lambda p: p.mass)
     best = min(known, key=lambda p: p.chi2)
     # Noise that was estimated in another valley is another one.
-    size = best.chi2 / max(len(held.rows(best.at)[0]) - len(best.at), 1)
+    size = best.chi2 / max(len(held.exact.rows(best.at)[0]) - len(best.at), 1)
     factor = size * max(float(student_factor(noise.degrees)) for noise in estimate.noise.values())
     level = HALF**2 * factor
     within = [k for k, p in enumerate(known) if p.chi2 <= best.chi2 + level]
