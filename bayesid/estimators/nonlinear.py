@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -100,15 +101,20 @@ def _started(problem: Problem) -> Problem:
 
 def _left(problem: Problem, held: np.ndarray) -> float:
     """``sum_c log s_c`` with some of the effects' parameters held (e,); infinite where readings are not finite."""
-    found = _linear(problem, held)
-    return np.inf if found is None else float(np.sum(np.log(found[1])))
+    found = _linear_fit(problem, held)
+    return np.inf if found is None else float(np.sum(np.log(found.scale)))
 
 
-def _linear(problem: Problem, held: np.ndarray) -> tuple[np.ndarray, np.ndarray, Factor] | None:
-    """The solution (p,) of the linearised rows with some of the effects' parameters held (e,).
+class LinearFit(NamedTuple):
+    """A fit to linearised rows with some of the effects' parameters held."""
 
-    With what it leaves by channel (c,), and the factor of the rows; None where readings are not finite.
-    """
+    solution: np.ndarray  # (p,)
+    scale: np.ndarray  # what it leaves, root mean square by channel (c,)
+    factor: Factor  # of the rows, weighted by what the pass before left
+
+
+def _linear_fit(problem: Problem, held: np.ndarray) -> LinearFit | None:
+    """The fit with those parameters held (e,); None where readings are not finite."""
     point, blocks = problem.row_model.point, problem.regression.rows.pilot()
     assert point is not None
     if not all(np.isfinite(b.rows).all() for b in blocks):
@@ -117,13 +123,13 @@ def _linear(problem: Problem, held: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     solution, scale = np.concatenate([point.base, point.values[point.free]]), np.ones(len(problem.row_model.channels))
     pilot = Pilot.of(blocks)
     factor = pilot.weighted(scale)
-    for k in range(_STARTING_PASSES):
-        factor = pilot.weighted(scale) if k else factor
+    for more in reversed(range(_STARTING_PASSES)):
         solution[~at] = least_squares(factor.matrix[:, ~at], factor.target - factor.matrix[:, at] @ solution[at])
         residual = np.concatenate([b.residual(solution) for b in blocks])
         scale = np.sqrt(np.mean(residual**2, axis=0))
         scale = np.maximum(scale, 1e-9 * max(float(scale.max()), 1e-300))
-    return solution, scale, factor
+        factor = pilot.weighted(scale) if more else factor
+    return LinearFit(solution, scale, factor)
 
 
 def _linear_fitted(problem: Problem) -> Problem:
@@ -132,14 +138,12 @@ def _linear_fitted(problem: Problem) -> Problem:
     From nominal links most steps are for the better, also those that lead shapes astray.
     """
     here, held = point_of(problem), shapes(problem)
-    if not (held & here.free).any() or (found := _linear(problem, held)) is None:
+    if not (held & here.free).any() or (found := _linear_fit(problem, held)) is None:
         return problem
-    solution, _, factor = found
-    rank, (low, high) = problem.row_model.base.rank, plausible(problem)
-    fitted, now = solution[rank:], here.values[here.free]
-    values = here.values.copy()
-    values[here.free] = np.where((fitted > low) & (fitted < high) & ~factor.undetermined[rank:], fitted, now)
-    return relinearised(problem, _point_at(problem, here, solution[:rank], ~factor.undetermined[:rank], values))
+    rank, (low, high), seen = problem.row_model.base.rank, plausible(problem), ~found.factor.undetermined
+    fitted, values = found.solution[rank:], here.values.copy()
+    values[here.free] = np.where((fitted > low) & (fitted < high) & seen[rank:], fitted, values[here.free])
+    return relinearised(problem, _point_at(problem, here, found.solution[:rank], seen[:rank], values))
 
 
 def _surroundings(problem: Problem) -> Surroundings:
@@ -181,10 +185,10 @@ def _stepped_to_end(problem: Problem, method: str | Estimator) -> Fitted:
 
 def _descended(problem: Problem) -> Problem:
     """The problem linearised where a descent within trust regions ends, with channels weighted by what the start leaves."""
-    found = _linear(problem, shapes(problem))
+    found = _linear_fit(problem, shapes(problem))
     if found is None:
         return problem
-    exact = ExactRows(problem, dict.fromkeys(("trajectory", "poses"), found[1]))
+    exact = ExactRows(problem, dict.fromkeys(("trajectory", "poses"), found.scale))
     return exact.at(exact.least(exact.start, tolerance=_NEARLY, most=_DESCENT)[0])
 
 
