@@ -292,6 +292,11 @@ class Effect(ABC):
         return False
 
     @property
+    def tries_starts(self) -> bool:
+        """Whether a fit may start elsewhere than at the usual values."""
+        return type(self).starts_tried is not Effect.starts_tried
+
+    @property
     def may_be_another(self) -> bool:
         """Whether there are such values."""
         return type(self).is_another is not Effect.is_another

@@ -16,7 +16,7 @@ noise of unknown sizes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -31,9 +31,10 @@ from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, Huber, Physi
 from bayesid.estimators.exact_rows import ExactRows, plausible, point_of, shapes
 from bayesid.estimators.factor import Factor, Pilot, whitened
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
-from bayesid.regression.blocks import residual_of
+from bayesid.regression.blocks import Block, residual_of
 from bayesid.regression.linalg import solve as least_squares
-from bayesid.regression.problem import Problem, absorbed_offset, chosen_again, relinearised
+from bayesid.regression.problem import Problem, absorbed_offset, chosen_again, pilot_pieces, relinearised
+from bayesid.regression.segment import LongSegment
 
 #: The effects' parameters have settled when a step is this small against their standard deviations.
 SETTLED = 0.05
@@ -85,9 +86,8 @@ def _started(problem: Problem) -> Problem:
     Effects of which a value is stated, or found already, start there.
     """
     for effect, own in with_places(problem.row_model.effects):
-        point = problem.row_model.point
-        assert point is not None
-        if point.free[own].all() and tuple(point.values[own]) == effect.starts:
+        point = point_of(problem)
+        if effect.tries_starts and point.free[own].all() and tuple(point.values[own]) == effect.starts:
             held = shapes(problem)
             held[: own.start] = held[own.stop :] = False
             tried = [problem]
@@ -95,13 +95,13 @@ def _started(problem: Problem) -> Problem:
                 there = point.values.copy()
                 there[own] = values
                 tried.append(relinearised(problem, replace(point, values=there)))
-            problem = min(tried, key=partial(_left, held=held)) if len(tried) > 1 else problem
+            problem = min(tried, key=partial(_left, held=held))
     return _linear_fitted(problem)
 
 
 def _left(problem: Problem, held: np.ndarray) -> float:
-    """``sum_c log s_c`` with some of the effects' parameters held (e,); infinite where readings are not finite."""
-    found = _linear_fit(problem, held)
+    """``sum_c log s_c`` of a few rows with some of the effects' parameters held (e,); infinite where readings are not finite."""
+    found = _linear_fit(problem, problem.regression.rows.few(), held)
     return np.inf if found is None else float(np.sum(np.log(found.scale)))
 
 
@@ -113,10 +113,9 @@ class LinearFit(NamedTuple):
     factor: Factor  # of the rows, weighted by what the pass before left
 
 
-def _linear_fit(problem: Problem, held: np.ndarray) -> LinearFit | None:
-    """The fit with those parameters held (e,); None where readings are not finite."""
-    point, blocks = problem.row_model.point, problem.regression.rows.pilot()
-    assert point is not None
+def _linear_fit(problem: Problem, blocks: Sequence[Block], held: np.ndarray) -> LinearFit | None:
+    """The fit to some blocks with those parameters held (e,); None where readings are not finite."""
+    point = point_of(problem)
     if not all(np.isfinite(b.rows).all() for b in blocks):
         return None
     at = np.append(np.zeros(len(point.base), bool), held[point.free])
@@ -138,7 +137,7 @@ def _linear_fitted(problem: Problem) -> Problem:
     From nominal links most steps are for the better, also those that lead shapes astray.
     """
     here, held = point_of(problem), shapes(problem)
-    if not (held & here.free).any() or (found := _linear_fit(problem, held)) is None:
+    if not (held & here.free).any() or (found := _linear_fit(problem, problem.regression.rows.pilot(), held)) is None:
         return problem
     rank, (low, high), seen = problem.row_model.base.rank, plausible(problem), ~found.factor.undetermined
     fitted, values = found.solution[rank:], here.values.copy()
@@ -149,7 +148,9 @@ def _linear_fitted(problem: Problem) -> Problem:
 def _surroundings(problem: Problem) -> Surroundings:
     row_model, experiment = problem.row_model, problem.experiment
     robot, sensor = row_model.robot, experiment.sensor
-    motions = [row_model.state(s, 0, len(s.times)) for s in problem.fitted_segments]
+    own = problem.fitted_segments
+    pieces = [p for s in own for p in (pilot_pieces(row_model, [s]) if isinstance(s, LongSegment) else (s,))]
+    motions = [row_model.state(p, 0, p.count) for p in pieces]
     return surroundings_of(
         robot, motions, robot.nominal.ravel(), problem.channel, sensor is not None and sensor.joint is None,
         static_run=problem.static != "none", links_known=experiment.inertia_rel_std is not None,
@@ -185,7 +186,7 @@ def _stepped_to_end(problem: Problem, method: str | Estimator) -> Fitted:
 
 def _descended(problem: Problem) -> Problem:
     """The problem linearised where a descent within trust regions ends, with channels weighted by what the start leaves."""
-    found = _linear_fit(problem, shapes(problem))
+    found = _linear_fit(problem, problem.regression.rows.pilot(), shapes(problem))
     if found is None:
         return problem
     exact = ExactRows(problem, dict.fromkeys(("trajectory", "poses"), found.scale))

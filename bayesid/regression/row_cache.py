@@ -140,6 +140,10 @@ class RowCache:
 
         return self.derived("pilot_blocks", made) if self.given_pilot is None else self.given_pilot
 
+    def few(self) -> Sequence[Block]:
+        """Blocks of about `PILOT_ROWS` rows at most: all of a short recording, segments of a longer one."""
+        return self.pilot() if self.make_pilot is None or self.count <= PILOT_ROWS else tuple(self.make_pilot())
+
     def derived(self, name: str, make: Callable[[], Any]) -> Any:
         """What ``make`` gives, made at the first call only: estimators share what depends on the rows alone.
 
