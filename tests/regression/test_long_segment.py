@@ -169,7 +169,7 @@ def test_large_tables_are_read_in_chunks_without_being_asked(folder, monkeypatch
 
 @pytest.mark.slow
 def test_starts_of_a_cable_are_tried_on_pieces(folder):
-    """There is no cable, and its stiffness says so. What is tried needs a motion, of which a recording read in chunks has pieces."""
+    """There is no cable, and its stiffness says so. Starts are tried on pieces of a recording read in chunks."""
     found = bayesid.identify(load(folder, "true"), effects=["tether@joint2"], bandwidth=5.0).estimate.parameters()
     at = found.names.index("tether@joint2.stiffness")
     assert found.low[at] < 0.0 < found.high[at]
