@@ -27,6 +27,7 @@ class Surroundings:
     """What an effect may want to know of the recordings that it is sought in."""
 
     robot: Robot  # the nominal robot
+    times: tuple[float, float]  # of the first and the last sample of the fitted motions [s]
     mean_places: np.ndarray  # mean position of each link's frame over the fitted motions, in the base frame (n, 3) [m]
     joint_inertia: np.ndarray  # mean inertia that each joint feels over the first fitted motion (n,) [kg m^2 or kg]
     moving: np.ndarray  # whether each joint moves in the fitted motions (n,)

@@ -18,6 +18,8 @@ from bayesid.effects.families import LoadEffect, Loads
 CONTACT_RAMP = 0.2
 #: Lengths of a tether that an exact fit starts from [m].
 TETHER_LENGTHS = (0.8, 2.0)
+#: Windows of a contact one beside the other that a fit may start from.
+_MOST_WINDOWS = 16
 #: Along the axes, the edges and the diagonals of a cube.
 _DIRECTIONS = tuple(np.array(way) / np.linalg.norm(way) for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way))
 _POINT = tuple(
@@ -179,6 +181,13 @@ class ExternalContact(LoadEffect):
 
     def linearisations(self, around):
         return ()  # it is sought in windows of time
+
+    def starts_tried(self, around):
+        # Windows of several lengths, each half a length after the one before.
+        first, last = around.times
+        lengths = [x for x in self.windows if (last - first) / _MOST_WINDOWS < x < last - first]
+        begins = [(begin, x) for x in lengths for begin in np.arange(first, last - 0.5 * x, 0.5 * x)]
+        return np.array([[begin, begin + x, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0] for begin, x in begins]).reshape(-1, 8)
 
 
 class ContactAnywhere(LoadEffect):

@@ -24,7 +24,8 @@ def surroundings_of(
     """What effects may want to know of some motions; ``links`` are ten parameters a body (10 b,), for what joints feel."""
     states = (link_states(robot, t.positions, t.velocities, t.accelerations)[:, : robot.n] for t in trajectories)
     return Surroundings(
-        robot=robot, mean_places=np.mean([x[:, :, P : P + 3].mean(axis=0) for x in states], axis=0),
+        robot=robot, times=(min(float(t.times[0]) for t in trajectories), max(float(t.times[-1]) for t in trajectories)),
+        mean_places=np.mean([x[:, :, P : P + 3].mean(axis=0) for x in states], axis=0),
         joint_inertia=joint_inertia(robot, trajectories[0], links), moving=moving(robot, trajectories), links_known=links_known,
         both_channels=channel == "both", torques=channel != "wrench", static_run=static_run,
         base_sensor=channel != "torque" and sensor_under_base,

@@ -17,8 +17,11 @@ import numpy as np
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.least_squares import LeastSquaresDetails, likelihood_weights, weighted_factor
 from bayesid.estimators.weights import learn_weights
-from bayesid.regression.linalg import UNSEEN, solve
+from bayesid.regression.linalg import UNSEEN, or_one, solve
 from bayesid.regression.problem import Problem, relinearised
+
+#: Share of the most certain combination of shapes below which one is not known at all.
+_NOTHING = 1e-12
 
 
 def with_held_shapes(problem: Problem, estimate: Estimate) -> Estimate:
@@ -36,6 +39,8 @@ def with_held_shapes(problem: Problem, estimate: Estimate) -> Estimate:
     slope = solve(others, shapes, UNSEEN)
     left = shapes - others @ slope
     low, high = (np.concatenate([getattr(e, side) for e in problem.row_model.effects]) for side in ("lower", "upper"))
-    plausible = 12.0 / (high - low)[point.unsettled] ** 2
-    variance = np.linalg.inv(left.T @ left / (details.dispersion or 1.0) + np.diag(plausible))
+    certain = left.T @ left / (details.dispersion or 1.0) + np.diag(12.0 / (high - low)[point.unsettled] ** 2)
+    size = or_one(np.sqrt(np.diag(certain)))
+    # What changes no reading and may be anything, as the rest of a spring without stiffness, moves no other value.
+    variance = np.linalg.pinv(certain / np.outer(size, size), rcond=_NOTHING, hermitian=True) / np.outer(size, size)
     return replace(estimate, held_covariance=slope @ variance @ slope.T)

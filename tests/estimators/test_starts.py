@@ -1,4 +1,4 @@
-"""Cables tied anywhere, identified without a start, against those simulated; and what is said of shapes that stay open."""
+"""Cables tied anywhere and contacts at any time, identified without a start; and what is said of shapes that stay open."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from bayesid.regression.problem import relinearised
 from tests.simulated import experiment, puma2
 
 SEEDS = range(12)
+POINT = {"point_x": 0.05, "point_y": 0.02, "point_z": 0.0}
 
 
 def recorded(folder, seed: int) -> bayesid.Simulation:
     """A two-joint arm on a sensor, and a cable that is tied in any direction and distance."""
-    robot, rng = puma2(folder), np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
+    way = rng.normal(size=3)
+    length = rng.uniform(0.6, 2.2)
+    anchor = dict(zip(("anchor_x", "anchor_y", "anchor_z"), length * way / np.linalg.norm(way), strict=True))
+    cable = {"stiffness": rng.uniform(0.3, 3.0), "rest_length": 0.3 * length, **anchor, **POINT}
+    return simulated(folder, {"tether@joint2": cable}, seed)
+
+
+def simulated(folder, effects: dict[str, dict[str, float]], seed: int) -> bayesid.Simulation:
+    """Ten seconds of that arm, and as many to be predicted."""
+    robot = puma2(folder)
     setup = experiment(robot, [], Sensor(force_std=0.2, torque_std=0.02), position_resolution=2e-5)
     planned = [
         bayesid.fourier_trajectory(robot, role, role, duration=10.0, rate=100.0, seed=10 * seed + k)
         for k, role in enumerate(("identification", "validation"))
     ]
-    way = rng.normal(size=3)
-    length = rng.uniform(0.6, 2.2)
-    anchor = dict(zip(("anchor_x", "anchor_y", "anchor_z"), length * way / np.linalg.norm(way), strict=True))
-    cable = {
-        "stiffness": rng.uniform(0.3, 3.0),
-        "rest_length": 0.3 * length,
-        **anchor,
-        "point_x": 0.05,
-        "point_y": 0.02,
-        "point_z": 0.0,
-    }
     recorder = bayesid.Recorder(force_std=0.2, torque_std=0.02, resolution=2e-5)
-    return bayesid.simulate(setup, planned, effects={"tether@joint2": cable}, recorder=recorder, perturb=0.1, seed=seed)
+    return bayesid.simulate(setup, planned, effects=effects, recorder=recorder, perturb=0.1, seed=seed)
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +57,19 @@ def test_intervals_hold_whether_shapes_settle_or_not(identified):
     z = np.array([(f.values - f.base.matrix @ m.truth.links.ravel()) / f.parameters().std[: f.base.rank] for m, f in identified])
     assert np.isfinite(z).all() and z.shape == (len(SEEDS), 12)
     assert np.mean(np.abs(z) < 1.96) > 0.9
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_contact_at_any_time_is_found_without_a_start(tmp_path, seed):
+    """From the usual start, in the first second, none was."""
+    rng = np.random.default_rng(seed)
+    begin, force = rng.uniform(0.5, 6.0), rng.normal(size=3)
+    times = {"start": begin, "end": begin + rng.uniform(0.8, 3.5)}
+    push = dict(zip(("fx", "fy", "fz"), rng.uniform(1.0, 8.0) * force / np.linalg.norm(force), strict=True))
+    made = simulated(tmp_path, {"external_contact@joint2": {**times, **push, **POINT}}, seed)
+    (found,) = [e for e in bayesid.identify(made, effects="external_contact@joint2").effects() if e["name"] == "external_contact"]
+    for key, value in times.items():
+        assert abs(found["parameters"][key]["value"] - value) < 0.01
 
 
 def test_a_start_at_the_truth_stays_there(tmp_path):
