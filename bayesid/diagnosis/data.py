@@ -22,6 +22,8 @@ from bayesid.robot.robot import Robot
 
 #: The source of a floor that is measured where nothing moves a sensor: above the motion.
 WHITE = "white noise above the band"
+#: The sources of the floor of poses at rest: the data sheet's, or what the most general model leaves of them.
+STATED_POSES, POSES = "data sheet", "poses"
 #: The source of a floor where readings hold so much more than what was measured that names cannot be told under that.
 FAR = "far above the noise"
 

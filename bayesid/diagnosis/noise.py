@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import f as f_ratio
 
-from bayesid.diagnosis.data import WHITE, DiagnosisData, fitted_values, residual_rows, term_rows
+from bayesid.diagnosis.data import POSES, STATED_POSES, WHITE, DiagnosisData, fitted_values, residual_rows, term_rows
 from bayesid.diagnosis.encoders import Encoders, encoder_count, with_noise
 from bayesid.diagnosis.noise_spectrum import measure
 from bayesid.diagnosis.spectra import SpectralSegment
@@ -161,7 +161,7 @@ def _poses_with_noise(data: DiagnosisData, links: np.ndarray, terms: Sequence[Te
             for s in segments
         )  # fmt: skip
 
-    source = "stated" if stated_noise(data.experiment, data.channel) is not None else "richest model"
+    source = STATED_POSES if stated_noise(data.experiment, data.channel) is not None else POSES
     return replace(data, segments=noisy(data.segments), unseen=noisy(data.unseen), floor_known=True, floor_source=source)
 
 

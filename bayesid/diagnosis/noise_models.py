@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.diagnosis.candidates import Library, make_library
-from bayesid.diagnosis.data import FAR, WHITE, DiagnosisData
+from bayesid.diagnosis.data import FAR, POSES, STATED_POSES, WHITE, DiagnosisData
 from bayesid.diagnosis.fit import SWEEPS, Fit, fit
 from bayesid.diagnosis.noise import at_instants, with_noise_of
 from bayesid.diagnosis.projector import NuisanceProjector, make_projector
@@ -122,6 +122,9 @@ SOURCES = {
     "effects that the library lacks.",
     "richest model": "Noise floor unknown: the readings were filtered before they were recorded. "
     "What the richest model of the library leaves stands in for it, so nothing can be said about effects that the library lacks.",
+    POSES: "Noise floor of the poses: what any bodies and any linear map between the sensor's axes leave of them. Of effects that "
+    "resemble such a map none is noise; others are, where they are small.",
+    STATED_POSES: "Noise floor of the poses: that of the data sheet.",
     FAR: "The readings hold far more than their noise, whatever the library has is added to the model: something stays that "
     "no effect of it explains. What the richest model leaves stands in for the noise, so that effects can be told from the rest.",
 }

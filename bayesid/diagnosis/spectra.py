@@ -90,8 +90,10 @@ class SpectralSegment:
 
     @cached_property
     def frequencies(self) -> np.ndarray:
-        """Frequencies of the coefficients (K,) [Hz]."""
+        """Frequencies of the coefficients (K,) [Hz]; of poses all are as good."""
         spacing = 0.5 / (len(self.times) * self.step)
+        if self.apart:
+            return spacing * np.arange(len(self.times))
         band = min(self.settings.band, 0.4 / self.step, 0.8 * self.trajectory.bandwidth)
         return spacing * np.arange(max(int(band / spacing), 1))
 
@@ -277,9 +279,12 @@ def _transform(samples: np.ndarray, weight: np.ndarray, count: int) -> np.ndarra
 def taper(times: np.ndarray, whole: np.ndarray, bandwidth: float, settings: Settings) -> np.ndarray:
     """Weight of times (k,) in a recording: 1, but falling to 0 at both ends, where the smoothed trajectory is loose.
 
+    Poses, whose positions are not smoothed (their bandwidth is infinite), have no such ends.
     It falls within `Settings.ramp` as a squared cosine of a squared sine's argument, so gently that the large constant weight
     of a robot leaks no more than 1e-6 of itself into the band when predictions are made on a coarse grid.
     """
+    if np.isinf(bandwidth):
+        return np.ones(len(times))
     length = min(max(settings.ramp, 1.5 / bandwidth), 0.25 * (whole[-1] - whole[0]))
     inside = np.clip(np.minimum(times - whole[0], whole[-1] - times) / length, 0.0, 1.0)
     return np.sin(0.5 * np.pi * np.sin(0.5 * np.pi * inside) ** 2) ** 2

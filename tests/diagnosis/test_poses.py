@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 import bayesid
+from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Sensor
+from bayesid.regression.readings import make_channels
 from bayesid.report.diagnosis import diagnosis_report
+from bayesid.robot.prior import Prior
 from bayesid.simulation.trajectories import Trajectory
 from tests.simulated import experiment, puma2
 
@@ -67,6 +70,43 @@ def test_a_hidden_effect_is_named(effect: str, stated: bool, tmp_path: Path) -> 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_nothing_is_named_where_nothing_is_missing(seed: int, tmp_path: Path) -> None:
     assert bayesid.diagnose(recorded(tmp_path, {}, seed), channel="wrench").verdict == "nothing_missing"
+
+
+def test_when_poses_were_taken_changes_nothing_but_a_drift(tmp_path: Path) -> None:
+    """Seconds apart as they are recorded, at uneven times, or just numbered; only the sensor's drift looks at the times."""
+    made = recorded(tmp_path, {"sensor_gain@mx": {"gain": 0.05}})
+    assert made.sensor is not None
+    unknown = replace(made, sensor=replace(made.sensor, force_std=None, torque_std=None))
+    waits = np.random.default_rng(3).uniform(2.0, 12.0, 200)
+
+    def at(experiment: bayesid.Experiment, times: Callable[[int], np.ndarray]) -> bayesid.Diagnosis:
+        motions = [replace(m, table=replace(m.table, times=times(len(m.table)))) for m in experiment.motions]
+        return bayesid.diagnose(replace(experiment, motions=tuple(motions)), channel="wrench")
+
+    for setup in (made, unknown):
+        numbered = at(setup, lambda n: np.arange(float(n)))
+        assert numbered.verdict == "named" and "filtered" not in " ".join(numbered.remarks)
+        for times in (lambda n: 8.0 * np.arange(n), lambda n: 0.01 * np.arange(n), lambda n: np.cumsum(waits[:n])):
+            timed = at(setup, times)
+            assert [f.term for f in timed.found] == [f.term for f in numbered.found]
+            assert timed.found[0].std == pytest.approx(numbered.found[0].std)
+
+
+def test_every_pose_counts_as_much_as_the_others(tmp_path: Path) -> None:
+    """A gain is known from poses as least squares has it: neither the first nor the last is tapered, and none is left out."""
+    made = recorded(tmp_path, {"sensor_gain@mx": {"gain": 0.05}})
+    (found,) = bayesid.diagnose(made, channel="wrench").found
+    robot, table = made.robot, made.motions[0].table
+    still = np.zeros_like(table.positions)
+    rigid = Kernel.of(robot, make_channels(made, "wrench")).dynamics(table.positions, still, still)
+    gain = np.zeros((len(table), 6, 1))
+    gain[:, 3, 0] = (rigid @ made.robot.nominal.ravel())[:, 3]
+    offset = np.tile(np.eye(6), (len(table), 1, 1))
+    noise = np.repeat([0.2, 0.02], 3)[:, None]
+    rows = (np.concatenate([gain, offset, rigid], axis=2) / noise).reshape(6 * len(table), -1)
+    known = np.zeros((rows.shape[1], rows.shape[1]))
+    known[7:, 7:] = np.linalg.inv(Prior.warped(robot.nominal, 0.01).covariance)
+    assert found.std[0] == pytest.approx(np.sqrt(np.linalg.inv(rows.T @ rows + known)[0, 0]), rel=0.05)
 
 
 def test_torques_of_poses_hold_friction_and_say_nothing(tmp_path: Path) -> None:
