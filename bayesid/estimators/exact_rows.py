@@ -44,6 +44,17 @@ def plausible(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     return np.where(linear & (now < low), -inf, low), np.where(linear & (now > high), inf, high)
 
 
+def point_with(problem: Problem, base: np.ndarray, values: np.ndarray, seen: np.ndarray | None = None) -> Point:
+    """The point with links nearest to the nominal ones that have those base parameters (r,), all or those ``seen`` (r,).
+
+    ``values`` are those of all effects' parameters (e,).
+    """
+    model = problem.row_model
+    links = nearest_links(model.robot, model.base, base, seen)
+    there = replace(point_of(problem), links=links.reshape(-1, 10), values=values, absorbed=absorbed_offset(model.base, links))
+    return replace(there, base=model.base.matrix @ links)
+
+
 @dataclass(eq=False)
 class ExactRows:
     """Predictions less readings in units of the noise, and their derivatives."""
@@ -76,10 +87,7 @@ class ExactRows:
         if self._last is None or not np.array_equal(self._last[0], values):
             model, left, slopes = self.problem.row_model, [], []
             base, effects = values[: model.base.rank], model.every_value(values[model.base.rank :])
-            links = nearest_links(model.robot, model.base, base)
-            absorbed = absorbed_offset(model.base, links)
-            there = replace(point_of(self.problem), links=links.reshape(-1, 10), base=base, values=effects, absorbed=absorbed)
-            problem = relinearised(self.problem, there)
+            problem = relinearised(self.problem, point_with(self.problem, base, effects))
             for block in problem.regression.rows.pilot():
                 std = self.std[block.group]
                 left.append((-block.residual(values) / std).ravel())

@@ -1,7 +1,9 @@
 """Effects that readings are not linear in: Gauss-Newton around any estimator.
 
 The readings are linearised at a point, estimated, and linearised again at the estimate, until it no longer moves. A step that
-makes the residual larger, or not a number, is halved [Deuflhard2011]_; where that does not help, the fit stops where it is. The
+makes the residual larger, or not a number, is halved [Deuflhard2011]_; where that does not help, the fit stops where it is. One that
+turns back, as those of the speed at which Stribeck friction falls often do, goes to the mean of the last two estimates from which
+no step would be left, were steps linear in the point [Anderson1965]_. The
 estimate may then still point far away, along what the motions do not tell from other parameters, to where its linearisation says
 nothing. Then a descent within trust regions (`bayesid.estimators.exact_rows`) shows whether there is a minimum after all: of
 cables tied to any place, Gauss-Newton ran away with half. Parameters that readings are not linear in are held where the fit
@@ -23,25 +25,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects import Point, Surroundings, with_places
 from bayesid.effects.surroundings import surroundings_of
 from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, Huber, Physical, Student, estimator, fit
-from bayesid.estimators.exact_rows import ExactRows, plausible, point_of, shapes
+from bayesid.estimators.exact_rows import ExactRows, plausible, point_of, point_with, shapes
 from bayesid.estimators.factor import Factor, Pilot, whitened
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from bayesid.regression.blocks import Block, residual_of
 from bayesid.regression.linalg import solve as least_squares
-from bayesid.regression.problem import Problem, absorbed_offset, chosen_again, pilot_pieces, relinearised
+from bayesid.regression.problem import Problem, chosen_again, pilot_pieces, relinearised
 from bayesid.regression.segment import LongSegment
 
 #: The effects' parameters have settled when a step is this small against their standard deviations.
 SETTLED = 0.05
 #: Rounds of weighting channels by what a start leaves in them.
 _STARTING_PASSES = 3
-#: Times that the bandwidth is chosen again, at most: two choices may follow each other for ever.
-_ROUNDS = 3
 #: Estimators whose values do not depend on what is known of encoder errors, only their covariance does.
 COVARIANCE_ALONE = (LeastSquares, Ridge, TruncatedSVD, Huber, Student, Physical)
 #: Standard deviations beyond which a value is out of what is plausible.
@@ -71,12 +70,11 @@ def solve(
 
 def _found(problem: Problem, method: str | Estimator) -> Fitted:
     """The minimum, from the best start, with the bandwidth chosen again where the effects are known."""
-    found = _minimised(_started(problem), method)
-    for _ in range(_ROUNDS):
-        again = chosen_again(found.problem)
-        if again.smoother.bandwidth == found.problem.smoother.bandwidth:
-            break
+    found, chosen = _minimised(_started(problem), method), {problem.smoother.bandwidth}
+    # Two choices may follow each other for ever.
+    while (again := chosen_again(found.problem)).smoother.bandwidth not in chosen:
         found = _minimised(again, method)
+        chosen.add(again.smoother.bandwidth)
     return found
 
 
@@ -142,7 +140,7 @@ def _linear_fitted(problem: Problem) -> Problem:
     rank, (low, high), seen = problem.row_model.base.rank, plausible(problem), ~found.factor.undetermined
     fitted, values = found.solution[rank:], here.values.copy()
     values[here.free] = np.where((fitted > low) & (fitted < high) & seen[rank:], fitted, values[here.free])
-    return relinearised(problem, _point_at(problem, here, found.solution[:rank], seen[:rank], values))
+    return relinearised(problem, point_with(problem, found.solution[:rank], values, seen[:rank]))
 
 
 def _surroundings(problem: Problem) -> Surroundings:
@@ -225,6 +223,7 @@ class Fitted:
 
     problem: Problem
     method: str | Estimator
+    before: tuple[np.ndarray, np.ndarray] | None = None  # where the step to it began, and the estimate there (p,)
 
     @cached_property
     def estimate(self) -> Estimate:
@@ -241,8 +240,7 @@ class Fitted:
     def next(self) -> Fitted | None:
         """A step towards the estimate; None where it is at the point already, or no share of the step is for the better."""
         problem = self.problem
-        here = problem.row_model.point
-        assert here is not None
+        here = point_of(problem)
         estimate = _within_bounds(problem, here, self.estimate)
         others, now = slice(problem.row_model.base.rank, None), here.values[here.free]
         step = np.where(estimate.undetermined[others], 0.0, estimate.solution[others] - now)
@@ -251,13 +249,28 @@ class Fitted:
         if small.all():
             return None
         # In units of the present noise: while the point is far off, model error counts as noise, too.
-        cost = _cost(problem, here, estimate)
+        cost, at = _cost(problem, here, estimate), np.concatenate([here.base, here.values[here.free]])
+        aim = estimate if self.before is None else where_no_step_is_left(at, estimate, *self.before)
         for halved in range(_HALVED + 1):
-            there = _stepped(problem, here, estimate, step, 0.5**halved)
+            there = _stepped(problem, here, aim, 0.5**halved)
             moved_problem = relinearised(problem, there)
             if _cost(moved_problem, there, estimate) <= cost + 1e-9 * cost:
-                return Fitted(moved_problem, self.method)
+                return Fitted(moved_problem, self.method, (at, estimate.solution))
         return None
+
+
+def where_no_step_is_left(at: np.ndarray, estimate: Estimate, at_before: np.ndarray, before: np.ndarray) -> Estimate:
+    """The estimate of a problem linearised at ``at`` (p,), or its mean with the one ``before`` where the step turns back.
+
+    Steps are in standard deviations; the mean's is the least, where steps are linear in the point.
+    """
+    known = ~estimate.undetermined & np.isfinite(estimate.full_std) & (estimate.full_std > 0.0)
+    size = np.where(known, estimate.full_std, np.inf)
+    step, last = (estimate.solution - at) / size, (before - at_before) / size
+    if step @ last >= 0.0:
+        return estimate
+    share = step @ (step - last) / np.sum((step - last) ** 2)
+    return replace(estimate, solution=estimate.solution + share * (before - estimate.solution))
 
 
 def default_method(problem: Problem) -> str:
@@ -295,27 +308,18 @@ def _within_bounds(problem: Problem, here: Point, estimate: Estimate) -> Estimat
     return replace(estimate, solution=solution) if held.any() else estimate
 
 
-def _stepped(problem: Problem, here: Point, estimate: Estimate, step: np.ndarray, share: float) -> Point:
+def _stepped(problem: Problem, here: Point, estimate: Estimate, share: float) -> Point:
     """The point a share of the way towards the estimate, within what is plausible."""
-    row_model = problem.row_model
+    rank = problem.row_model.base.rank
     low, high = plausible(problem)
     # A shape that cannot be negative shrinks by steps: none jumps to its limit, where nothing moves any more.
     shape = shapes(problem)[here.free]
     now = here.values[here.free]
     low = np.where(shape & (low >= 0.0), np.maximum(low, 0.4 * now), low)
-    values = here.values.copy()
-    values[here.free] = np.clip(values[here.free] + share * step, low, high)
+    values, step = here.values.copy(), np.where(estimate.undetermined[rank:], 0.0, estimate.solution[rank:] - now)
+    values[here.free] = np.clip(now + share * step, low, high)
     wanted = here.base + share * (estimate.values - here.base)
-    return _point_at(problem, here, wanted, ~estimate.undetermined[: row_model.base.rank], values)
-
-
-def _point_at(problem: Problem, here: Point, wanted: np.ndarray, seen: np.ndarray, values: np.ndarray) -> Point:
-    """The point with links nearest to the nominal ones that have those wanted base parameters (r,) that are seen."""
-    row_model = problem.row_model
-    links = nearest_links(row_model.robot, row_model.base, np.where(seen, wanted, here.base), seen)
-    absorbed = absorbed_offset(row_model.base, links)
-    base = row_model.base.matrix @ links
-    return replace(here, links=links.reshape(-1, 10), base=base, values=values, absorbed=absorbed)
+    return point_with(problem, wanted, values, ~estimate.undetermined[:rank])
 
 
 def _cost(problem: Problem, point: Point, estimate: Estimate) -> float:

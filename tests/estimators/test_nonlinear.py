@@ -7,6 +7,8 @@ import pytest
 
 import bayesid
 from bayesid.effects import EffectLibrary
+from bayesid.estimators import nonlinear
+from bayesid.estimators.exact_rows import ExactRows
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.regression.options import FitOptions
@@ -74,6 +76,44 @@ def test_simulated_effects_are_found_again(setup, motions, spec, channel):
         # The phase of a ripple turns by whole turns.
         miss = (value - truth + np.pi) % (2 * np.pi) - np.pi if name.endswith("phase") else value - truth
         assert abs(miss) < 4 * std + 0.01 * abs(truth), (name, value, std, truth)
+
+
+def test_steps_that_turn_back_end_soon_at_the_minimum(setup, motions, monkeypatch):
+    """Of Stribeck friction each may turn back by 60 to 90 % of the last: all 15 that are allowed were taken here."""
+    steps, step = list[nonlinear.Fitted](), nonlinear.Fitted.next
+
+    def counted(self: nonlinear.Fitted) -> nonlinear.Fitted | None:
+        steps.append(self)
+        return step(self)
+
+    monkeypatch.setattr(nonlinear.Fitted, "next", counted)
+    effects = [f"{kind}@joint{j}" for j in (1, 2, 3) for kind in ("viscous_friction", "coulomb_friction", "stribeck_friction")]
+    plant = complete_effects(setup.robot, effects, {})
+    plant |= {spec: {"level": 3.0, "velocity": 0.5} for spec in effects if spec.startswith("stribeck")}
+    recording = bayesid.simulate(setup, motions, effects=plant, recorder=bayesid.Recorder(resolution=0.0, drive_std=0.05), seed=3)
+    problem, estimate = solve(prepare(recording, FitOptions("torque", effects=effects)))
+    assert len(steps) <= 10
+    exact = ExactRows(problem, {"trajectory": estimate.noise["trajectory"].std})
+    least, chi2 = exact.least(exact.start, tolerance=1e-12)
+    assert np.sum(exact.rows(exact.start)[0] ** 2) < chi2 + 0.01
+    seen = ~estimate.undetermined
+    assert np.all(np.abs(least - estimate.solution)[seen] < 0.1 * estimate.full_std[seen])
+
+
+def test_a_mean_of_two_estimates_is_where_no_step_is_left_of_linear_steps():
+    rng = np.random.default_rng(1)
+    times, columns = 0.01 * np.arange(400), rng.normal(size=(400, 1, 3))
+    estimate = bayesid.fit(bayesid.Regression.from_arrays(columns, columns @ np.ones(3) + rng.normal(size=(400, 1)), times=times))
+    end, way = rng.normal(size=3), rng.normal(size=3)
+
+    def pointed_to(at: np.ndarray) -> np.ndarray:
+        return end - 0.8 * (at - end)
+
+    first, second = end + way, end - 0.5 * way
+    mean = nonlinear.where_no_step_is_left(second, replace(estimate, solution=pointed_to(second)), first, pointed_to(first))
+    assert mean.solution == pytest.approx(end)
+    ahead = replace(estimate, solution=second + way)  # a step on is taken as it is
+    assert nonlinear.where_no_step_is_left(second, ahead, second - way, second) is ahead
 
 
 def test_fixed_values_are_kept(setup, motions):
