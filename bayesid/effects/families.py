@@ -337,6 +337,11 @@ class SensorEffect(InstrumentEffect):
         return differences(self, values, lambda v: self.applied(chain, v).reading(segment, true))
 
 
+def only_read(effect: Effect) -> bool:
+    """Whether an effect is an error of a sensor or of a drive's reading, and no torque or wrench that acts."""
+    return isinstance(effect, (JointGainEffect, JointDelayEffect, SensorEffect))
+
+
 class ReadingEffect(InstrumentEffect):
     """Something that comes on top of any channels' readings."""
 

@@ -17,6 +17,8 @@ from bayesid.design.bounds.remainder import Remainder, remainder
 from bayesid.design.bounds.workspace import CONFIGURATIONS, inside_joints, sobol_configurations, workspace_bounds
 from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects import MotionSegment
+from bayesid.effects import Effect
+from bayesid.effects.families import only_read
 from bayesid.errors import InputError
 from bayesid.estimators import Estimator
 from bayesid.posterior.result import Posterior, moments
@@ -41,7 +43,7 @@ from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.sample import sample
 
 
-def assumptions(result: ControllerBounds, dropped: Sequence[str]) -> tuple[str, ...]:
+def assumptions(result: ControllerBounds, dropped: Sequence[Effect]) -> tuple[str, ...]:
     """What the bounds rest on."""
     known, w = result.known, result.workspace
     robot = known.problem.experiment.robot
@@ -73,9 +75,11 @@ def assumptions(result: ControllerBounds, dropped: Sequence[str]) -> tuple[str, 
     out.append(
         "Links are rigid, and the robot's geometry is as the URDF says. Configurations may collide; nobody looks out for that."
     )
-    if dropped:
+    if read := [e.spec for e in dropped if only_read(e)]:
+        out.append(f"Torques are those that act, not what drives read of them: {listed(read, 4)} is taken out of the readings.")
+    if acting := [e.spec for e in dropped if not only_read(e)]:
         out.append(
-            f"Not in the torques: {listed(dropped, 4)}, which depend on more than the joint's own motion. They count as other "
+            f"Not in the torques: {listed(acting, 4)}, which depend on more than the joint's own motion. They count as other "
             "uncertainty."
         )
     return tuple(out)

@@ -76,6 +76,28 @@ def test_bounds_of_an_estimate_hold_the_truth(arm, identified):
     assert wrench.std[:, 2].max() > 20 * wrench.std[:, 0].max()
 
 
+def test_torques_are_those_that_act_and_not_what_a_drive_reads(arm):
+    """A gain and a delay of the drives' readings, identified beside the wrench, are no error of the model of the torques."""
+    whole, truth = arm
+
+    def misread(motion: Motion) -> Motion:
+        times, torques = motion.table.times, motion.table.torques
+        late = np.stack([np.interp(times - 0.008, times, column) for column in torques.T], axis=1) * [1.0, 1.1]
+        return replace(motion, table=replace(motion.table, torques=late))
+
+    recorded = replace(whole, motions=tuple(misread(m) for m in whole.motions), effects=("torque_gain@joint2", "torque_delay@robot"))
+    found = bayesid.bounds(bayesid.identify(recorded, channel="both"), configurations=16)
+    assert found.remainder is not None and found.remainder.complete
+    assert not any("missing in the model" in w for w in found.warnings)
+    assert "torque_gain@joint2" in " ".join(found.assumptions) and "other uncertainty" not in " ".join(found.assumptions)
+    robot = whole.robot
+    _, q, v, a = fourier(robot, 9, duration=2.0)
+    band = found.torque(q, v, a)
+    torques = Kernel.of(robot, torque_channels(robot)).dynamics(q, v, a) @ truth
+    assert np.all((torques >= band.low) & (torques <= band.high))
+    assert band.half_width[:, 1].max() < 0.02 * np.abs(torques[:, 1]).max()
+
+
 def test_drawn_links_can_exist_and_their_mass_matrices_are_positive_definite(arm, identified):
     assert inertia.is_physically_consistent(identified.links.reshape(-1, 10)).all()
     assert 0.0 < identified.workspace.smallest_drawn <= identified.workspace.eigenvalues[0]

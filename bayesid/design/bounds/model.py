@@ -18,7 +18,7 @@ from bayesid.design.bounds.region import Region, region_of_draws, region_of_norm
 from bayesid.dynamics.base_parameters import BaseParameters, spanned, structural_base
 from bayesid.dynamics.channels import Channels, torque_channels
 from bayesid.dynamics.regressors import Kernel
-from bayesid.effects import with_places
+from bayesid.effects import Effect, with_places
 from bayesid.effects.families import JointMotion, JointTorqueEffect, differences
 from bayesid.robot.robot import Robot
 
@@ -137,11 +137,11 @@ def possible_parameters(known: Known, model: ReadingModel) -> np.ndarray:
     return np.concatenate([model.base.matrix @ known.urdf, np.array([named.get(name, value) for name, value in effects], float)])
 
 
-def left_out_effects(known: Known, model: ReadingModel) -> tuple[str, ...]:
+def left_out_effects(known: Known, model: ReadingModel) -> tuple[Effect, ...]:
     """Effects of the identified model on joint torques that bounds of torques do not hold."""
-    held = {drive.effect.spec for drive in model.drives}
+    held = {drive.effect for drive in model.drives}
     names = model.channels.names
-    return tuple(e.spec for e in known.problem.row_model.effects if e.spec not in held and any(e.acts_on(c) for c in names))
+    return tuple(e for e in known.problem.row_model.effects if e not in held and any(e.acts_on(c) for c in names))
 
 
 def _model(

@@ -16,14 +16,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
 
 from bayesid.design.bounds.model import ReadingModel, spread
 from bayesid.dynamics.channels import WRENCH_NAMES
+from bayesid.effects.families import only_read
 from bayesid.recordings.experiment import Motion
 from bayesid.regression.problem import Problem
+from bayesid.regression.row_model import RowModel
+from bayesid.regression.segment import Segment
 from bayesid.rounding import HALF, LEVEL
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import BAND, TOLERATED, in_band
@@ -168,11 +172,24 @@ def _left(problem: Problem, model: ReadingModel, motion: Motion) -> Iterator[tup
         state = problem.row_model.state(segment, first, last)
         at = np.searchsorted(motion.table.times, state.times)
         constant, matrix = model.columns(state.positions, state.velocities, state.accelerations)
-        measured = in_band(state.times, readings[at], poses=False)
+        measured = in_band(state.times, readings[at] - _only_read(problem.row_model, model, segment, first, last), poses=False)
         left = measured - in_band(state.times, constant + matrix @ model.region.values, poses=False)
         if _is_wrench(model):  # the offset takes the mean of both
             left, matrix = left - left.mean(axis=0), matrix - matrix.mean(axis=0)
         yield state.times, left, state.velocities, measured, spread(matrix, model.region.covariance) ** 2
+
+
+def _only_read(row_model: RowModel, model: ReadingModel, segment: Segment, first: int, last: int) -> np.ndarray | float:
+    """What identified errors of the sensor and the drives' readings add to samples first ... last - 1 (N, c)."""
+    point, names = row_model.point, row_model.channels.names
+    acts = [not only_read(effect) for effect in row_model.effects]
+    if point is None or all(acts) or not set(model.channels.names) <= set(names):
+        return 0.0
+    own = np.repeat(acts, [len(effect.parameters) for effect in row_model.effects])
+    true = replace(point, values=point.values[own], free=point.free[own], unsettled=None)
+    without = replace(row_model, effects=tuple(compress(row_model.effects, acts)), point=true)
+    read, there = (m.modelled(segment, first, last, np.zeros(0)) for m in (row_model, without))
+    return (read - there)[:, [names.index(name) for name in model.channels.names]]
 
 
 def _noise_below(problem: Problem, model: ReadingModel, floor: NoiseFloor | None, step: float) -> np.ndarray:
