@@ -411,10 +411,10 @@ def _encoders(table: Table, robot: Robot, stalled: np.ndarray, resolution: float
     stops = {j: end for j, where in frozen.items() if (end := _end_stop(table, robot, j, where))}
     frozen = {j: where for j, where in frozen.items() if j not in stops}
     warnings = []
-    if held:
+    if moving and held:  # where none moves the robot was parked, as somebody meant it
         verb, them = ("never moves; lock it", "it") if len(held) == 1 else ("never move; lock them", "them")
         place = f"{table.source}: {joint_columns(robot, held)}"
-        warnings.append(f"{place} {verb} ([robot] locked) or expect nothing about {them}")
+        warnings.append(f"{place} {verb} ([robot] locked), or expect nothing about {them} where no other motion moves {them}")
     for j, end in stops.items():
         warnings.append(f"{table.source}: {joint_columns(robot, [j])} {end}; leave those times out")
     if len(frozen) > _FEW:

@@ -236,6 +236,18 @@ def test_a_joint_that_is_held_by_a_drive_that_never_reads_zero_speed_is_not_froz
     assert not [text for text in load_experiment(folder).warnings if "frozen" in text]
 
 
+def test_a_recording_of_the_parked_robot_is_meant(folder: Path) -> None:
+    """Held-out readings at rest, whose joints other motions move: none of them is to be locked."""
+    noise = np.random.default_rng(1).normal(size=1000)
+
+    def parked(frame: pd.DataFrame) -> pd.DataFrame:
+        read = {name: frame[name].mean() + 0.01 * noise[: len(frame)] for name in ("fx", "fy", "fz", "mx", "my", "mz")}
+        return frame.assign(q1=0.3, v1=0.0, q2=-0.2, v2=0.0, **read)
+
+    table(parked, "validation.csv")(folder)
+    assert not load_experiment(folder).warnings
+
+
 @pytest.mark.parametrize("header", ["t, q1 ,q2", ' t,"q1",q2 '], ids=["blanks", "quotes"])
 def test_blanks_and_quotes_around_names_do_not_matter(header: str, folder: Path) -> None:
     expected = load_experiment(folder).motions[0].table
