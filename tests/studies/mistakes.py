@@ -259,6 +259,8 @@ def _of_wrench(experiment: Experiment) -> Iterator[Made]:
         yield Made("wrench in the axes of the base", changed(experiment, in_base), (("wrench_frame", "base"),))
     yield Made("forces negated", wrench(blocks(-eye, eye)), (("force_sign", ""),))
     yield Made("moments negated", wrench(blocks(eye, -eye)), (("moment_sign", ""),))
+    for k, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
+        yield Made("one axis negated", wrench(np.diag(np.where(np.arange(6) == k, -1.0, 1.0))), (("axis_sign", name),))
     yield Made("forces and moments exchanged", wrench(np.block([[zero, eye], [eye, zero]])), (("forces_moments", ""),))
     yield Made("moments in N mm", wrench(blocks(eye, 1e3 * eye)), (("moment_unit", "N mm"),))
     yield Made("forces in kgf", wrench(blocks(eye / 9.80665, eye)), (("force_unit", "kgf"),))

@@ -227,6 +227,9 @@ def of_wrench(sensor: Sensor, tool: bool = False) -> list[Candidate]:
         ("forces_moments", "", "forces and moments seem to be exchanged",
          "write forces in fx, fy, fz and moments in mx, my, mz", np.roll(np.eye(6), 3, axis=0)),
     ]  # fmt: skip
+    for k, name in enumerate(WRENCH_NAMES):
+        says, remedy = f"the sign of {name} seems to be the opposite", f"change the sign of {name}"
+        table.append(("axis_sign", name, says, remedy, scaled(6, [k], -1.0)))
     for unit, factor in (("N mm", 1e-3), ("kN m", 1e3), ("kgf m", _KILOGRAM_FORCE)):
         says = f"the moments seem to be in {unit}"
         table.append(("moment_unit", unit, says, "write mx, my and mz in N m", scaled(6, moments, factor)))
