@@ -60,6 +60,11 @@ class Sensor:
         """Orientation of its frame as a matrix (3, 3)."""
         return pin.rpy.rpyToMatrix(*map(float, self.rpy))
 
+    @property
+    def mounted(self) -> np.ndarray:
+        """``translation`` and ``rpy``, one after the other (6,) [m, rad]."""
+        return np.concatenate([self.translation, self.rpy])
+
 
 @explains_types
 @dataclass(frozen=True, eq=False)

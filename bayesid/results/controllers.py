@@ -29,10 +29,12 @@ class Load:
     frame: str
     world: str
     gravity: np.ndarray  # in the root's frame (3,) [m/s^2]
-    sensor: str | None = None  # name of the sensor's frame; None without one
+    sensor: str | None = None  # name of the link that the sensor is on; None without one
     #: Centre of mass in the sensor's frame (3,) [m], and its constant reading (6,) [N, N m].
     centre_in_sensor: np.ndarray | None = None
     offset: np.ndarray | None = None
+    #: Where its frame is in that of the link: origin [m], then angles about the link's fixed axes x, y, z [rad], (6,).
+    mounted: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -96,8 +98,9 @@ def ros(load: Load) -> str:
     KTH, *force_torque_tools*, parameters of ``gravity_compensation``.
     """
     centre, offset = _of_sensor(load)
-    return _yaml({
-        "bias": _listed(offset), "gripper_com_frame_id": load.sensor or "", "gripper_com_pose": _listed([*centre, 0.0, 0.0, 0.0]),
+    frame, where = _sensor_frame(load, "rosrun tf2_ros static_transform_publisher {0} {1} {2} {5} {4} {3} {link} {frame}")
+    return where + _yaml({
+        "bias": _listed(offset), "gripper_com_frame_id": frame, "gripper_com_pose": _listed([*centre, 0.0, 0.0, 0.0]),
         "gripper_mass": _number(load.mass),
     })  # fmt: skip
 
@@ -108,7 +111,8 @@ def ros2(load: Load) -> str:
     ros-controls, *control_toolbox*, parameters of ``gravity_compensation_filter``.
     """
     centre, _ = _of_sensor(load)
-    return _yaml({"world_frame": load.world, "sensor_frame": load.sensor or ""}) + "tool:\n" + _yaml({
+    frame, where = _sensor_frame(load, _PUBLISHED)
+    return where + _yaml({"world_frame": load.world, "sensor_frame": frame}) + "tool:\n" + _yaml({
         "  pos": _listed(centre), "  gravity_field": _listed(load.gravity), "  mass": _number(load.mass),
     })  # fmt: skip
 
@@ -117,8 +121,9 @@ def admittance(load: Load) -> str:
     """YAML of ROS 2, ros-controls, *ros2_controllers*, ``admittance_controller``: the weight [N], and m in the sensor's frame."""
     centre, _ = _of_sensor(load)
     weight = load.mass * float(np.linalg.norm(load.gravity))
+    frame, where = _sensor_frame(load, _PUBLISHED)
     return (
-        f"gravity_compensation:\n  frame:\n    id: {load.sensor}\n    external: false\n"
+        f"{where}gravity_compensation:\n  frame:\n    id: {frame}\n    external: false\n"
         f"  CoG:\n    pos: {_listed(centre)}\n    force: {_number(weight)}\n"
     )
 
@@ -153,6 +158,23 @@ def _of_sensor(load: Load) -> tuple[np.ndarray, np.ndarray]:
     if load.sensor is None or load.centre_in_sensor is None or load.offset is None:
         raise InputError("export: no force/torque sensor carries this payload, so there is none whose readings to compensate")
     return load.centre_in_sensor, load.offset
+
+
+#: How ROS 2 publishes a frame that stands still in another one.
+_PUBLISHED = (
+    "ros2 run tf2_ros static_transform_publisher --x {0} --y {1} --z {2} --roll {3} --pitch {4} --yaw {5} --frame-id {link} "
+    "--child-frame-id {frame}"
+)
+
+
+def _sensor_frame(load: Load, published: str) -> tuple[str, str]:
+    """Name of the frame of the sensor's axes, and comment lines that say where it is, if it is not that of its link."""
+    if load.mounted is None or not load.mounted.any():
+        return load.sensor or "", ""
+    frame = f"{load.sensor}_sensor"
+    command = published.format(*map(_number, load.mounted), link=load.sensor, frame=frame)
+    said = f"# {frame}: the sensor's own axes, as they are turned on {load.sensor}. Publish it, and stamp the wrench with it:\n"
+    return frame, f"{said}# {command}\n"
 
 
 def _rounded(values):

@@ -111,8 +111,9 @@ class PayloadEstimate(ShownResult):
         Of the diagnosis, as in ``diagnosis.json``; None where it was left out.
     offset
         Constant reading of the sensor that carries it, ``fx`` … ``mz`` (6,); empty without one.
-    sensor_frame, centre_in_sensor
-        Name of the sensor's frame, and centre of mass in it (3,) [m]; None without a sensor that carries it.
+    sensor_frame, sensor_mounted, centre_in_sensor
+        Name of the link that the sensor is on; its frame there, as `bayesid.Sensor.mounted` (6,); and the centre of mass in that
+        frame (3,) [m]; None without a sensor that carries it.
     world, gravity
         Name of the URDF's root link, and gravity in its frame (3,) [m/s^2].
     evidence
@@ -149,6 +150,7 @@ class PayloadEstimate(ShownResult):
     verdict: str | None
     offset: tuple[Quantity, ...]
     sensor_frame: str | None
+    sensor_mounted: np.ndarray | None
     centre_in_sensor: np.ndarray | None
     world: str
     gravity: np.ndarray
@@ -229,6 +231,7 @@ class PayloadEstimate(ShownResult):
             self.mass.value, self.centre_of_mass, self.inertia_about_centre, self.frame, self.world, self.gravity,
             self.sensor_frame, self.centre_in_sensor,
             np.array([q.value for q in self.offset]) if self.offset and all(q.shown for q in self.offset) else None,
+            self.sensor_mounted,
         )  # fmt: skip
 
     def exports(self) -> dict[str, str]:

@@ -185,7 +185,7 @@ def _load(fit: Identification, experiment: Experiment, known: BodyKnowledge | No
     frame = urdf.joints[str(sensor.joint)].child
     return Load(
         known.mass.value, centre, None, frame, urdf.root_link, experiment.robot.gravity, frame,
-        sensor.rotation.T @ (centre - sensor.translation), np.asarray(fit.offset[0]),
+        sensor.rotation.T @ (centre - sensor.translation), np.asarray(fit.offset[0]), sensor.mounted,
     )  # fmt: skip
 
 

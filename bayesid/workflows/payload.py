@@ -214,6 +214,7 @@ def payload(
         plain=(plain.mass, *plain.centre), effects=found.effects, verdict=found.verdict, offset=found.offset,
         sensor_frame=urdf.joints[detail].child if source == "sensor" else None,
         centre_in_sensor=_in_sensor(found, experiment) if source == "sensor" else None,
+        sensor_mounted=experiment.sensor.mounted if source == "sensor" and experiment.sensor is not None else None,
         world=urdf.root_link,
         gravity=experiment.robot.gravity, evidence=found.evidence, nominal_share=found.share, more=found.more,
         sentences=found.sentences,

@@ -139,6 +139,29 @@ def test_poses_weigh_a_tool_and_the_sensors_offset_at_once(wrist, seed):
     np.testing.assert_allclose(result.centre_in_sensor, turn.T @ (centre - POSE.translation), atol=1e-3)
 
 
+def test_files_for_ros_take_the_weight_away_in_the_frame_that_they_publish(wrist):
+    """The sensor is turned and moved on its link, which no transform of the URDF says: its frame has a name and a command."""
+    recorded = bayesid.simulate(wrist, poses(wrist.robot), effects=OFFSET, recorder=NOISE, seed=1)
+    files, table = bayesid.payload(recorded).exports(), recorded.motions[0].table
+    two, one = files["ros2_gravity_filter.yaml"], files["gravity_compensation.yaml"]
+    options = dict(re.findall(r"--(\S+) (\S+)", two))
+    x, y, z, yaw, pitch, roll, parent, child = one.splitlines()[1].split("static_transform_publisher ")[1].split()
+    assert (parent, child) == (options["frame-id"], options["child-frame-id"]) == ("sensor_plate", "sensor_plate_sensor")
+    assert [options[k] for k in ("x", "y", "z", "roll", "pitch", "yaw")] == [x, y, z, roll, pitch, yaw]
+    assert f"sensor_frame: {child}\n" in two and f"id: {child}\n" in files["ros2_admittance.yaml"]
+    mounted = pin.SE3(pin.rpy.rpyToMatrix(float(roll), float(pitch), float(yaw)), np.array([x, y, z], float))
+    (mass,), centre = (np.array(re.search(rf"  {key}: \[?([^\]\n]*)", two)[1].split(", "), float) for key in ("mass", "pos"))
+    bias = np.array(re.search(r"bias: \[(.*)\]", one)[1].split(", "), float)
+    model = pin.buildModelFromUrdf(str(wrist.robot.urdf))
+    data = model.createData()
+    for q, read in zip(table.positions, table.wrench, strict=True):
+        pin.framesForwardKinematics(model, data, q)
+        turned = (data.oMf[model.getFrameId(parent)] * mounted).rotation
+        force = turned.T @ [0.0, 0.0, 9.81 * mass]
+        left = read - bias - np.concatenate([force, np.cross(centre, force)])
+        assert np.all(np.abs(left) < 6.0 * np.repeat([0.05, 0.003], 3))
+
+
 def test_a_motion_shows_the_inertia_too(wrist):
     path = [bayesid.fourier_trajectory(wrist.robot, duration=12.0, seed=2)]
     quiet = replace(NOISE, force_std=0.02, torque_std=0.001)
