@@ -250,9 +250,10 @@ def unrelated(best: Fit, known: int) -> int:
     """How many unrelated effects a model has beside the user's; one kind in half of the joints, two at least, counts once.
 
     Where nothing else is missing, all kinds of friction in so many joints, and offsets of their torques, count once between them:
-    what drives have of it is missing where nobody put it into the model. Otherwise they may imitate something together.
+    what drives have of it is missing where nobody put it into the model. Otherwise they may imitate something together. What
+    every model of readings has without a static run, a sensor's offset, counts as none.
     """
-    terms = best.terms[known:]
+    terms = [t for t in best.terms[known:] if not t.effect.estimated_without_static_run]
     names = [t.effect.name for t in terms]
     many = {n for n in names if names.count(n) >= max(2, best.projector.data.robot.n / 2)}
     friction = {t.effect.name for t in terms if t.effect.wanders and t.effect.name in many} if best.leaves_noise else set[str]()
