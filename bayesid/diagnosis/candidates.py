@@ -183,11 +183,13 @@ class Library:
             taken |= {e.spec for e in self.effects if e.excludes(found)}
         return taken
 
-    def with_one_value(self, fit: Fit, least: float) -> list[OneValue]:
+    def with_one_value(self, fit: Fit, least: float, wider: Sequence[Fit]) -> list[OneValue]:
         """Effects of several values with only one of them, where its column beside a fit explains so much of chi2 at least.
 
-        Of a link that is another than the nominal one no single number changes.
+        And of those that are the last in ``wider`` fits, the value there that differs most from zero: a sensor turned by 20 degrees
+        is no column. Of a link that is another than the nominal one no single number changes.
         """
+        fitted = {f.terms[-1].effect: f for f in wider}
         projector, best = self.projector, dict[str, tuple[float, OneValue]]()
         found, taken = orthonormal(projector.columns(fit.jacobian)), self._taken(fit)
         left = projector.project_out(np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)]))
@@ -198,8 +200,13 @@ class Library:
             rows = block.rows - found @ (found.T @ block.rows)
             square = np.sum(rows**2, axis=0)
             amplitudes = rows.T @ left / np.where(square > 0.0, square, np.inf)
-            for k, gain in enumerate(amplitudes**2 * square):
-                values = np.atleast_2d(block.about.to_values(np.where(np.arange(len(square)) == k, amplitudes, 0.0)))[0]
+            tried = [(gain, k, amplitudes[k]) for k, gain in enumerate(amplitudes**2 * square)]
+            if (own := fitted.get(effect)) is not None:
+                values, std = np.array(own.terms[-1].values), own.std(len(own.terms) - 1, 1.0)
+                k = int(np.argmax(np.abs(values) / std))
+                tried = [(least, k, block.about.to_amplitudes(values)[k])]
+            for gain, k, amplitude in tried:
+                values = np.atleast_2d(block.about.to_values(np.where(np.arange(len(square)) == k, amplitude, 0.0)))[0]
                 alone = np.count_nonzero(values) == 1 and values[k] != 0.0
                 if alone and gain >= max(least, best.get(effect.spec, (0.0, None))[0]):
                     best[effect.spec] = gain, OneValue(effect, _inside(effect, values), k)

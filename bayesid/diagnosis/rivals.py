@@ -150,8 +150,9 @@ def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...],
         near = [(t, lack) for t, lack in close if lack <= 0.0 or not _contains(without, t, term)]
         # A wider effect of which all but one value is zero is no longer name: a sensor that is turned about one axis.
         specs = [term.effect.spec, *(t.effect.spec for t, _ in near)]
-        for one in library.with_one_value(without, 2.0 * settings.nearly_all * (best.score - without.score)):
-            models, f = models.own(fit(without.projector, (*held, one), without))
+        for one in library.with_one_value(without, 2.0 * settings.nearly_all * (best.score - without.score), fits):
+            start = next((f for f in fits if f.terms[-1].effect == one.effect), without)
+            models, f = models.own(fit(without.projector, (*held, one), start))
             lack = (best.score - f.score) / dispersion + bonus
             near += [(f.terms[-1], lack)] if lack < settings.rival and one.effect.spec not in specs else []
         fitted = [t.effect for t in held if not best.projector.data.fixed(t)]
