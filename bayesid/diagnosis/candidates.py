@@ -186,8 +186,8 @@ class Library:
     def with_one_value(self, fit: Fit, least: float, wider: Sequence[Fit]) -> list[OneValue]:
         """Effects of several values with only one of them, where its column beside a fit explains so much of chi2 at least.
 
-        And of those that are the last in ``wider`` fits, the value there that differs most from zero: a sensor turned by 20 degrees
-        is no column. Of a link that is another than the nominal one no single number changes.
+        And of those that are the last in ``wider`` fits, the value there that differs most from zero: a sensor turned by 20
+        degrees is no column. Of a link that is another than the nominal one no single number changes.
         """
         fitted = {f.terms[-1].effect: f for f in wider}
         projector, best = self.projector, dict[str, tuple[float, OneValue]]()

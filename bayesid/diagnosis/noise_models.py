@@ -122,8 +122,8 @@ SOURCES = {
     "effects that the library lacks.",
     "richest model": "Noise floor unknown: the readings were filtered before they were recorded. "
     "What the richest model of the library leaves stands in for it, so nothing can be said about effects that the library lacks.",
-    POSES: "Noise floor of the poses: what any bodies and any linear map between the sensor's axes leave of them. Of effects that "
-    "resemble such a map none is noise; others are, where they are small.",
+    POSES: "Noise floor of the poses: what any bodies and any linear map between the sensor's axes leave of them. "
+    "Effects that resemble such a map are no noise; others are, where they are small.",
     STATED_POSES: "Noise floor of the poses: that of the data sheet.",
     FAR: "The readings hold far more than their noise, whatever the library has is added to the model: something stays that "
     "no effect of it explains. What the richest model leaves stands in for the noise, so that effects can be told from the rest.",

@@ -152,6 +152,7 @@ def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...],
         specs = [term.effect.spec, *(t.effect.spec for t, _ in near)]
         for one in library.with_one_value(without, 2.0 * settings.nearly_all * (best.score - without.score), fits):
             start = next((f for f in fits if f.terms[-1].effect == one.effect), without)
+            start = replace(start, derivatives={})  # of all of its values
             models, f = models.own(fit(without.projector, (*held, one), start))
             lack = (best.score - f.score) / dispersion + bonus
             near += [(f.terms[-1], lack)] if lack < settings.rival and one.effect.spec not in specs else []

@@ -47,7 +47,7 @@ class SpectralSegment:
     #: Which motion it belongs to.
     motion: str
     role: str
-    #: (N,) [s] and the encoders' readings (N, n).
+    #: (N,) [s], the numbers of poses, whenever they were taken; and the encoders' readings (N, n).
     times: np.ndarray
     encoders: np.ndarray
     readings: np.ndarray  # measured (N, c)
@@ -90,10 +90,8 @@ class SpectralSegment:
 
     @cached_property
     def frequencies(self) -> np.ndarray:
-        """Frequencies of the coefficients (K,) [Hz]; of poses all are as good."""
+        """Frequencies of the coefficients (K,) [Hz]."""
         spacing = 0.5 / (len(self.times) * self.step)
-        if self.apart:
-            return spacing * np.arange(len(self.times))
         band = min(self.settings.band, 0.4 / self.step, 0.8 * self.trajectory.bandwidth)
         return spacing * np.arange(max(int(band / spacing), 1))
 
@@ -124,7 +122,12 @@ class SpectralSegment:
     @cached_property
     def _trajectory_weight(self) -> np.ndarray:
         """Weight on the segment's grid (M, c)."""
-        return self.weight(self.trajectory.times)
+        return self.weight(self._grid)
+
+    @property
+    def _grid(self) -> np.ndarray:
+        """Times of the segment's grid (M,), the poses' numbers."""
+        return self.times if self.apart else self.trajectory.times
 
     def _averaged(self, channels: np.ndarray | slice) -> _Averaged:
         """What multiplies the samples of some channels; where no weight of theirs changes there is nothing but that."""
@@ -164,7 +167,7 @@ class SpectralSegment:
 
     def course(self, samples: np.ndarray) -> np.ndarray:
         """Coefficients (K, ...) of courses in time (M, ...) on the segment's grid that belong to no channel."""
-        edge = taper(self.trajectory.times, self.times, self.trajectory.bandwidth, self.settings)[:, None]
+        edge = taper(self._grid, self.times, self.trajectory.bandwidth, self.settings)[:, None]
         flat = _transform(samples.reshape(len(samples), -1), edge, len(self.frequencies))
         return flat.reshape(-1, *samples.shape[1:]) * np.sqrt(len(self.times) / len(samples))
 
@@ -279,12 +282,9 @@ def _transform(samples: np.ndarray, weight: np.ndarray, count: int) -> np.ndarra
 def taper(times: np.ndarray, whole: np.ndarray, bandwidth: float, settings: Settings) -> np.ndarray:
     """Weight of times (k,) in a recording: 1, but falling to 0 at both ends, where the smoothed trajectory is loose.
 
-    Poses, whose positions are not smoothed (their bandwidth is infinite), have no such ends.
     It falls within `Settings.ramp` as a squared cosine of a squared sine's argument, so gently that the large constant weight
     of a robot leaks no more than 1e-6 of itself into the band when predictions are made on a coarse grid.
     """
-    if np.isinf(bandwidth):
-        return np.ones(len(times))
     length = min(max(settings.ramp, 1.5 / bandwidth), 0.25 * (whole[-1] - whole[0]))
     inside = np.clip(np.minimum(times - whole[0], whole[-1] - times) / length, 0.0, 1.0)
     return np.sin(0.5 * np.pi * np.sin(0.5 * np.pi * inside) ** 2) ** 2

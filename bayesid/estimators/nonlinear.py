@@ -1,13 +1,13 @@
 """Effects that readings are not linear in: Gauss-Newton around any estimator.
 
 The readings are linearised at a point, estimated, and linearised again at the estimate, until it no longer moves. A step that
-makes the residual larger, or not a number, is halved [Deuflhard2011]_; where that does not help, the fit stops where it is. One that
-turns back, as those of the speed at which Stribeck friction falls often do, goes to the mean of the last two estimates from which
-no step would be left, were steps linear in the point [Anderson1965]_. The
-estimate may then still point far away, along what the motions do not tell from other parameters, to where its linearisation says
-nothing. Then a descent within trust regions (`bayesid.estimators.exact_rows`) shows whether there is a minimum after all: of
-cables tied to any place, Gauss-Newton ran away with half. Parameters that readings are not linear in are held where the fit
-stopped, if it still points further away than their standard deviations, and the others are fitted beside them.
+makes the residual larger, or not a number, is halved [Deuflhard2011]_; where that does not help, the fit stops where it is.
+A step that turns back, as those of the speed at which Stribeck friction falls often do, goes to the mean of the last two
+estimates from which no step would be left, were steps linear in the point [Anderson1965]_. The estimate may then still point far
+away, along what the motions do not tell from other parameters, to where its linearisation says nothing. Then a descent within
+trust regions (`bayesid.estimators.exact_rows`) shows whether there is a minimum after all: of cables tied to any place,
+Gauss-Newton ran away with half. Parameters that readings are not linear in are held where the fit stopped, if it still points
+further away than their standard deviations, and the others are fitted beside them.
 
 From afar, a mount that rings looks stiff: the cost of a resonance has a valley as narrow as the resonance is sharp, and
 Gauss-Newton finds the bottom of the one that it starts in; and so with where a cable is tied. So where no starting value of
@@ -162,7 +162,10 @@ def _minimised(problem: Problem, method: str | Estimator) -> Fitted:
         raise InputError(f"readings are not finite where {specs} start; state other values in [model.values]")
     now = _stepped_to_end(problem, method)
     if np.any(_far(now.problem, now.estimate) > 1.0) and not problem.row_model.rings:
-        now = _stepped_to_end(_descended(problem), method)
+        other = _stepped_to_end(_descended(problem), method)
+        # Friction that runs away from there as well is not told by the rows: the descent led it to where it does nothing.
+        still, effects = _far(other.problem, other.estimate) > 1.0, problem.row_model.effects
+        now = now if any(still[own].any() for e, own in with_places(effects) if not e.tries_starts) else other
     while np.any((far := _far(now.problem, now.estimate)) > 1.0):
         # One effect at a time: without the one that ran furthest the others may settle.
         point = point_of(now.problem)

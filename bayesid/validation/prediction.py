@@ -461,6 +461,11 @@ def _largest(prediction: Prediction) -> float:
     return TOLERATED * (prediction.largest_rms or prediction.expected_rms)
 
 
+def leaves_more(prediction: Prediction) -> bool:
+    """Whether more is left than noise and uncertain parameters make, as far as the noise is known."""
+    return prediction.noise_source != RESIDUALS and prediction.whitened_rms > _largest(prediction)
+
+
 def left_by_uncertain_parameters(prediction: Prediction) -> bool:
     """Whether more is left than noise, and no more than parameters that the fitted motions leave uncertain may make."""
     return prediction.noise_source != RESIDUALS and TOLERATED < prediction.whitened_rms <= _largest(prediction)

@@ -16,8 +16,7 @@ from bayesid.design.bounds.region import effort_ratio
 from bayesid.design.bounds.remainder import Remainder, remainder
 from bayesid.design.bounds.workspace import CONFIGURATIONS, inside_joints, sobol_configurations, workspace_bounds
 from bayesid.dynamics.base_parameters import nearest_links
-from bayesid.effects import MotionSegment
-from bayesid.effects import Effect
+from bayesid.effects import Effect, MotionSegment
 from bayesid.effects.families import only_read
 from bayesid.errors import InputError
 from bayesid.estimators import Estimator

@@ -22,7 +22,7 @@ from bayesid.validation.mistakes.search import find_mistakes, unlike_urdf
 from bayesid.validation.own_fit import fit_and_predict
 from bayesid.validation.prediction import useless
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
-from bayesid.workflows.warnings import lacks_drives, unpredicted, unusable, without_static_run
+from bayesid.workflows.warnings import lacks_drives, left_of_fit, unpredicted, unusable, without_static_run
 
 _GROUPS = {"positions": "q", "velocities": "v", "commanded": "qr", "torques": "tau", "wrench": "wrench"}
 #: Samples of a long recording that speeds are taken from.
@@ -52,7 +52,7 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
     warnings: list[str] = []
     channel = default_channel(experiment)
     bandwidth, reason, position_std = None, "", np.full(experiment.robot.n, np.nan)
-    problem, left = None, ()
+    problem, estimate, left = None, None, ()
     try:
         experiment.library.parse(experiment.effects, experiment.robot.joint_names, [*WRENCH_COLUMNS, "tau1"])
     except InputError as error:
@@ -63,7 +63,7 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
             bandwidth, reason, position_std = problem.smoother.bandwidth, problem.smoother.reason, problem.smoother.position_std
             if problem.regression.rows.fits_in_memory:
                 progress("what a fit would leave")
-                _, left = fit_and_predict(problem)
+                estimate, left = fit_and_predict(problem)
     except BayesidError as error:
         reason = reason or str(error)
         warnings.append(f"identify will refuse this folder as it is: {error}")
@@ -75,6 +75,7 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
         unseen = [p for p in left if not p.fitted]
         no_use = useless(unseen) and lacks_drives(problem)
         warnings += unusable(problem, unseen, [], takes_effects=False) if no_use else unpredicted(unseen)
+        warnings += [] if unseen or estimate is None else left_of_fit(estimate, left, alone=True)
         warnings += without_static_run(problem)
     if not mistakes and (unlike := unlike_urdf(experiment)) is not None:
         warnings.append(unlike)

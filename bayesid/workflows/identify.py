@@ -34,7 +34,7 @@ from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import predict
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.urdf_links import missing_rotors, urdf_links
-from bayesid.workflows.warnings import contradictions, impossible_signs, incomplete, mistaken, of_fit, unusable
+from bayesid.workflows.warnings import contradictions, impossible_signs, left_of_fit, mistaken, of_fit, unusable
 
 
 @shows_progress
@@ -254,8 +254,7 @@ def _warnings(result: Identification, wrong: Sequence[str], of_links: Sequence[s
             "that the estimate depends on it."
         )
     out += contradictions(result.agreements)
-    if estimate.details.model_complete is False:
-        out.append(incomplete(estimate.details.dispersion, estimate.details.dispersion_by_channel))
+    out += left_of_fit(estimate, result.fitted, alone=not result.validation)
     # What the estimator itself has to say, such as weak instruments.
     out += estimate.details.warnings
     out += _of_what_is_not_shown(result.not_shown)

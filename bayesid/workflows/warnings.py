@@ -20,7 +20,7 @@ from bayesid.regression.readings import has_readings
 from bayesid.section import powers
 from bayesid.validation.agreement import Agreement
 from bayesid.validation.mistakes.candidates import Mistake
-from bayesid.validation.prediction import Prediction, judged, left_by_uncertain_parameters, of_signal, useless
+from bayesid.validation.prediction import Prediction, judged, leaves_more, left_by_uncertain_parameters, of_signal, useless
 
 _CERTAIN = 3.0  # standard deviations below zero
 
@@ -159,6 +159,18 @@ def unpredicted(predictions: Sequence[Prediction]) -> list[str]:
     elif left_by_uncertain_parameters(worst):
         remedy = "Fit a motion like it, too."
     return [f"{first}{judged(worst).text}. {remedy}"]
+
+
+def left_of_fit(estimate: Estimate, fitted: Sequence[Prediction], alone: bool) -> list[str]:
+    """That the model lacks something, by the motions that it was fitted to; ``alone``: no others tell."""
+    if estimate.details.model_complete is False:
+        return [incomplete(estimate.details.dispersion, estimate.details.dispersion_by_channel)]
+    off = [p for p in fitted if alone and leaves_more(p)]
+    if not off:
+        return []
+    worst = max(off, key=lambda p: p.relative_error)
+    said = f"Motion '{worst.motion}' is fitted with an error of {100 * worst.relative_error:.3g} % of {of_signal(worst)}"
+    return [f"{said}: {judged(worst).text}. `{call('diagnose')}` looks for what is missing."]
 
 
 def beyond_poses(predictions: Sequence[Prediction]) -> list[str]:

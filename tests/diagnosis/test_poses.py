@@ -10,12 +10,9 @@ import numpy as np
 import pytest
 
 import bayesid
-from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Sensor
-from bayesid.regression.readings import make_channels
 from bayesid.report.diagnosis import diagnosis_report
-from bayesid.robot.prior import Prior
 from bayesid.simulation.trajectories import Trajectory
 from tests.simulated import experiment, puma2
 
@@ -90,23 +87,6 @@ def test_when_poses_were_taken_changes_nothing_but_a_drift(tmp_path: Path) -> No
             timed = at(setup, times)
             assert [f.term for f in timed.found] == [f.term for f in numbered.found]
             assert timed.found[0].std == pytest.approx(numbered.found[0].std)
-
-
-def test_every_pose_counts_as_much_as_the_others(tmp_path: Path) -> None:
-    """A gain is known from poses as least squares has it: neither the first nor the last is tapered, and none is left out."""
-    made = recorded(tmp_path, {"sensor_gain@mx": {"gain": 0.05}})
-    (found,) = bayesid.diagnose(made, channel="wrench").found
-    robot, table = made.robot, made.motions[0].table
-    still = np.zeros_like(table.positions)
-    rigid = Kernel.of(robot, make_channels(made, "wrench")).dynamics(table.positions, still, still)
-    gain = np.zeros((len(table), 6, 1))
-    gain[:, 3, 0] = (rigid @ made.robot.nominal.ravel())[:, 3]
-    offset = np.tile(np.eye(6), (len(table), 1, 1))
-    noise = np.repeat([0.2, 0.02], 3)[:, None]
-    rows = (np.concatenate([gain, offset, rigid], axis=2) / noise).reshape(6 * len(table), -1)
-    known = np.zeros((rows.shape[1], rows.shape[1]))
-    known[7:, 7:] = np.linalg.inv(Prior.warped(robot.nominal, 0.01).covariance)
-    assert found.std[0] == pytest.approx(np.sqrt(np.linalg.inv(rows.T @ rows + known)[0, 0]), rel=0.05)
 
 
 def test_torques_of_poses_hold_friction_and_say_nothing(tmp_path: Path) -> None:

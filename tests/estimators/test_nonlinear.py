@@ -100,6 +100,17 @@ def test_steps_that_turn_back_end_soon_at_the_minimum(setup, motions, monkeypatc
     assert np.all(np.abs(least - estimate.solution)[seen] < 0.1 * estimate.full_std[seen])
 
 
+def test_friction_that_the_rows_do_not_tell_is_led_nowhere(setup, motions):
+    """Stribeck friction where there is none runs away; a descent led it to no speed, at kilonewton metres."""
+    effects = [f"{kind}@joint{j}" for j in (1, 2, 3) for kind in ("viscous_friction", "stribeck_friction")]
+    plant = complete_effects(setup.robot, [spec for spec in effects if spec.startswith("viscous")], {})
+    recording = bayesid.simulate(setup, motions, effects=plant, recorder=bayesid.Recorder(resolution=0.0, drive_std=0.5), seed=3)
+    problem, _ = solve(prepare(recording, FitOptions("torque", effects=effects)))
+    point = problem.row_model.point
+    assert point is not None and point.unsettled is not None and point.unsettled.any()
+    assert np.abs(point.values).max() < 50.0
+
+
 def test_a_mean_of_two_estimates_is_where_no_step_is_left_of_linear_steps():
     rng = np.random.default_rng(1)
     times, columns = 0.01 * np.arange(400), rng.normal(size=(400, 1, 3))

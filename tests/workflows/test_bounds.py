@@ -85,7 +85,9 @@ def test_torques_are_those_that_act_and_not_what_a_drive_reads(arm):
         late = np.stack([np.interp(times - 0.008, times, column) for column in torques.T], axis=1) * [1.0, 1.1]
         return replace(motion, table=replace(motion.table, torques=late))
 
-    recorded = replace(whole, motions=tuple(misread(m) for m in whole.motions), effects=("torque_gain@joint2", "torque_delay@robot"))
+    recorded = replace(
+        whole, motions=tuple(misread(m) for m in whole.motions), effects=("torque_gain@joint2", "torque_delay@robot")
+    )
     found = bayesid.bounds(bayesid.identify(recorded, channel="both"), configurations=16)
     assert found.remainder is not None and found.remainder.complete
     assert not any("missing in the model" in w for w in found.warnings)
