@@ -219,7 +219,7 @@ def _course(result: Watch, values: Sequence[float], title: str, needed: float | 
     if len(names) * max(map(len, names)) <= _LETTERS:
         panel.set_xticks(x, names)
     else:  # names would hide one another
-        panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+        panel.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
         panel.set_xlabel("recording, counted as in the table")
     panel.set_title(title)
     add_legend(axes)
@@ -249,7 +249,7 @@ def sizes_figure(series: Mapping[str, np.ndarray], count: int, title: str) -> Fi
         panel.errorbar(x, value, np.nan_to_num(half), fmt="o", ms=5, lw=1.2, color=CYCLE[k % len(CYCLE)], label=name)
     panel.axhline(0.0, color="#334155", lw=0.6)
     panel.set(title=title, xlabel="recording", xlim=(0.5, count + 0.5))
-    panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+    panel.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     add_legend(axes, lines=lines)
     return figure
 

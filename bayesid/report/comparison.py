@@ -116,6 +116,7 @@ def _side_by_side(result: Comparison) -> ShownSection:
         f"**Interval**: median width over the base parameters, relative to {reference}{credible}. **From {reference}**: "
         f"difference of the base parameters in standard deviations of {reference}: rms and largest." if reference else "",
         f"**Hausman**: probability of so large a difference from {efficient} if the model is complete." if efficient else "",
+        *(f"{line}." for line in result.untested),
         "**Time**: of the fit alone; rows and noise are prepared once for all.",
     ]  # fmt: skip
     entries = [*result.baselines, *result.entries]

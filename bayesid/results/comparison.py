@@ -288,13 +288,22 @@ class Comparison(HasEntries, ShownResult):
             if any(e.interval == "credible" for e in self.estimates.values()):
                 legend.append("*: credible, counts what was known before")
         if self.tests:
-            legend.append("Hausman: chance of so large a difference if the model is complete")
+            legend += ["Hausman: chance of so large a difference if the model is complete", *self.untested]
         if self.links_known:
             legend.append("links: whether those that identify writes can exist, and how far off they are")
         refused = [f"{e.name} refused: {e.refusal}" for e in self.entries if e.estimate is None]
         warned = [f"warning: {w}" for w in self.warnings]
         values = ShownSection("Values, ± half of the 95 % interval", [values_table(self)])
         return [_title(self), overview_table(self), *legend, *refused, *warned, values]
+
+    @property
+    def untested(self) -> list[str]:
+        """Why Hausman's test says nothing, a line for each reason with its estimators."""
+        reasons: dict[str, list[str]] = {}
+        for test in self.tests:
+            if test.probability is None:
+                reasons.setdefault(test.reason, []).append(test.method)
+        return [f"Hausman {DASH} of {', '.join(methods)}: {reason}" for reason, methods in reasons.items()]
 
     @property
     def links_known(self) -> bool:

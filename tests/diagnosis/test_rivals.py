@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesid import diagnose
+from bayesid import Recorder, diagnose, fourier_trajectory, load_robot, payload, simulate
+from tests.robots import panda, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 QUIET = {"force_std": 0.3, "torque_std": 0.03, "resolution": 1e-5}
@@ -39,6 +40,31 @@ def test_a_sensor_turned_about_the_first_axis_is_as_likely_as_a_wrong_zero(tmp_p
     ((rival, _),) = found.found[0].rivals
     assert rival.values == pytest.approx((0.0, 0.0, 0.01), abs=3e-4)
     assert "none tells" in found.next_experiment
+
+
+@pytest.mark.parametrize("turn", [pytest.param(0.09, marks=pytest.mark.slow), 0.42])
+def test_a_wrist_sensor_turned_about_the_last_axis_is_as_likely_as_that_encoders_zero(turn, tmp_path):
+    """Whatever the angle, and beside an offset and a drift: the load's centre of mass is then known to both readings of it."""
+    arm = load_robot(write(tmp_path, panda()), sensor_joint="panda_joint8")
+    setup = experiment(arm, [], Sensor("panda_joint8"))
+    moved = fourier_trajectory(arm, "run", "identification", duration=12.0, rate=50.0, seed=3)
+    hidden = {
+        "sensor_rotation": {"rx": 0.0, "ry": 0.0, "rz": turn}, "sensor_offset": {"fx": 3.0, "my": 0.2},
+        "sensor_drift": {"fx": 0.02, "fz": -0.02, "mx": 0.001},
+    }  # fmt: skip
+    recorder = Recorder(force_std=0.1, torque_std=0.005, resolution=1e-5)
+    made = simulate(setup, [moved], effects=hidden, recorder=recorder, seed=5)
+    found = diagnose(made, "wrench")
+    assert found.verdict == "ambiguous"
+    turned = next(f for f in found.found if f.term.effect.name not in ("sensor_offset", "sensor_drift"))
+    assert {turned.term.effect.name, *(t.effect.name for t, _ in turned.rivals)} == {"encoder_offset", "sensor_rotation"}
+    weighed = payload(made)
+    assert not any("unexplained" in w for w in weighed.warnings)
+    true = payload(
+        simulate(setup, [moved], recorder=Recorder(force_std=1e-3, torque_std=1e-5, resolution=0.0), seed=1), diagnosis=False
+    )
+    for q, exact in zip((weighed.mass, *weighed.centre), (true.mass, *true.centre), strict=True):
+        assert q.low - q.std < exact.value < q.high + q.std
 
 
 def test_a_rotors_momentum_is_the_inertia_of_two_links_in_a_wrench(tmp_path):
