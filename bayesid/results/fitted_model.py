@@ -243,8 +243,9 @@ class UrdfLinks:
             why = "stays inside the uncertainty, which is wide" if inside else "is a robot that can exist"
             more = "" if len(worse) == 1 else f" (the worst of {len(worse)} motions)"
             out.append(
-                f"identified.urdf predicts the rows of '{motion}'{more}, up to the motion's bandwidth, with {100 * links:.3g} % error, "
-                f"the base parameters with {100 * estimate:.3g} %: it {why}. Predict with the base parameters, simulate with the URDF."
+                f"identified.urdf predicts the rows of '{motion}'{more}, up to the motion's bandwidth, with {100 * links:.3g} % "
+                f"error, the base parameters with {100 * estimate:.3g} %: it {why}. Predict with the base parameters, simulate with "
+                "the URDF."
             )
         return out
 
