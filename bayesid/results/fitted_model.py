@@ -244,8 +244,8 @@ class UrdfLinks:
             more = "" if len(worse) == 1 else f" (the worst of {len(worse)} motions)"
             out.append(
                 f"identified.urdf predicts the rows of '{motion}'{more}, up to the motion's bandwidth, with {100 * links:.3g} % "
-                f"error, the base parameters with {100 * estimate:.3g} %: it {why}. Predict with the base parameters, simulate with "
-                "the URDF."
+                f"error, the base parameters with {100 * estimate:.3g} %: it {why}. Predict with the base parameters, simulate "
+                "with the URDF."
             )
         return out
 
