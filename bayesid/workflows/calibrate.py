@@ -16,11 +16,10 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
 from bayesid.results.controllers import Load
-from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.identification import Identification
 from bayesid.results.payload import KINDS, Calibration, HiddenEffect
 from bayesid.rounding import HALF, number, percent
-from bayesid.workflows.explained import Explained, explain, offset_of
+from bayesid.workflows.explained import Explained, explain, joined, offset_of
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.warnings import contradictions, impossible_signs, of_recordings
 
@@ -107,9 +106,9 @@ def calibrate(
         return explain(free, asked, lambda _: False, lambda _: False, True, seed, settings, clock)
 
     found = look(experiment)
-    best, known = found.best, None
+    best, known, others = found.best, None, []
     if body is not None:
-        known = from_sensor(best.problem, best.estimate, body)
+        known, *others = (from_sensor(fit.problem, fit.estimate, body) for fit in (best, *found.rivals))
     gain, weighings = None, [known] if known is not None and mass is not None and known.mass.shown else []
     if weighings and reference is not None:
         clock("reference")
@@ -129,9 +128,10 @@ def calibrate(
     return Calibration(
         fit=best, sensor=sensor.joint or "base", found=_quantities(best),
         ambiguous={e.spec: e.ambiguous_with for e in found.effects if e.in_model and e.ambiguous_with},
-        hidden=() if found.diagnosis is None else _hidden(found.diagnosis, best, body is not None),
-        mass=None if known is None else known.mass,
-        centre=() if known is None else known.centre, common_gain=gain, load=_load(best, experiment, known),
+        hidden=() if found.diagnosis is None else _hidden(found, body is not None),
+        mass=None if known is None else known.mass.joined(tuple(k.mass for k in others)),
+        centre=() if known is None else joined(known.centre, [k.centre for k in others]), common_gain=gain,
+        load=_load(best, experiment, known),
         verdict=found.verdict, sentences=tuple(_sentences(known, gain, mass, reference is not None)),
         warnings=of_recordings(
             experiment,
@@ -157,9 +157,12 @@ def _quantities(fit: Identification) -> dict[str, tuple[Quantity, ...]]:
     return out
 
 
-def _hidden(found: Diagnosis, fit: Identification, alone: bool) -> tuple[HiddenEffect, ...]:
-    """Kinds that the model does not have, each parameter where it would stand out least."""
-    there = {name.partition("@")[0] for name in _quantities(fit)}
+def _hidden(explained: Explained, alone: bool) -> tuple[HiddenEffect, ...]:
+    """Kinds that neither the model has nor another name for what it has, each parameter where it would stand out least."""
+    found = explained.diagnosis
+    assert found is not None
+    rivals = [spec for effect in explained.effects if effect.in_model for spec in effect.ambiguous_with]
+    there = {name.partition("@")[0] for name in (*_quantities(explained.best), *rivals)}
     out: dict[tuple[str, str, str], HiddenEffect] = {}
     for p in found.search.proposals:
         effect, sizes = p.term.effect, found.least_visible(p)

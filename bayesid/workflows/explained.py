@@ -100,6 +100,11 @@ def offset_of(fit: Identification) -> tuple[Quantity, ...]:
     return tuple(Quantity.of(*given) for given in zip(WRENCH_COLUMNS, units, *fit.offset, strict=True))
 
 
+def joined(own: Sequence[Quantity], others: Sequence[Sequence[Quantity]]) -> tuple[Quantity, ...]:
+    """Quantities with intervals that hold what other fits of the same readings say of each, too."""
+    return tuple(q.joined(tuple(o[k] for o in others)) for k, q in enumerate(own))
+
+
 def _refit(found: Diagnosis, options: FitOptions, terms: Sequence[Term]) -> Identification | None:
     """A fit with some effects from their values on; None where it fails."""
     experiment = found.data.experiment

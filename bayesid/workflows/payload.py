@@ -33,7 +33,7 @@ from bayesid.robot.inertia import PARAMETERS
 from bayesid.robot.urdf_file import FARTHEST
 from bayesid.rounding import channel_text, number, percent, with_half
 from bayesid.workflows.diagnose import diagnose
-from bayesid.workflows.explained import Explained, explain, offset_of
+from bayesid.workflows.explained import Explained, explain, joined, offset_of
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.warnings import contradictions, impossible_signs, of_recordings
 
@@ -199,9 +199,9 @@ def payload(
     others = [in_frame(k.possible, experiment, found.body, frame)[0] for k in found.rivals]
     any_motion, _ = in_frame(found.any_motion, experiment, found.body, name)
     mass = known.mass.joined(tuple(k.mass for k in others))
-    centre = _joined(known.centre, [k.centre for k in others])
-    first_moment = _joined(known.first_moment, [k.first_moment for k in others])
-    moments = _joined(known.inertia, [k.inertia for k in others])
+    centre = joined(known.centre, [k.centre for k in others])
+    first_moment = joined(known.first_moment, [k.first_moment for k in others])
+    moments = joined(known.inertia, [k.inertia for k in others])
     reach = [abs(q.value) for q in centre if q.shown]
     assumed = max(_EXTENT * float(np.linalg.norm(reach)), _SMALLEST_EXTENT)
     urdf = experiment.robot.description
@@ -352,10 +352,6 @@ def _since(asked: _Asked, before: Experiment, joint: str | None) -> _Found:
         verdict=changes.verdict, evidence=evidence, sentences=tuple(said),
         warnings=tuple(warnings),
     )  # fmt: skip
-
-
-def _joined(own: Sequence[Quantity], others: Sequence[Sequence[Quantity]]) -> tuple[Quantity, ...]:
-    return tuple(q.joined(tuple(o[k] for o in others)) for k, q in enumerate(own))
 
 
 def _in_sensor(found: _Found, experiment: Experiment) -> np.ndarray | None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesid import Recorder, diagnose, fourier_trajectory, load_robot, payload, simulate
+from bayesid import Recorder, calibrate, diagnose, fourier_trajectory, load_robot, payload, simulate
 from tests.robots import panda, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
@@ -58,13 +58,15 @@ def test_a_wrist_sensor_turned_about_the_last_axis_is_as_likely_as_that_encoders
     assert found.verdict == "ambiguous"
     turned = next(f for f in found.found if f.term.effect.name not in ("sensor_offset", "sensor_drift"))
     assert {turned.term.effect.name, *(t.effect.name for t, _ in turned.rivals)} == {"encoder_offset", "sensor_rotation"}
-    weighed = payload(made)
+    weighed, calibrated = payload(made, frame="panda_link8"), calibrate(made)
     assert not any("unexplained" in w for w in weighed.warnings)
-    true = payload(
-        simulate(setup, [moved], recorder=Recorder(force_std=1e-3, torque_std=1e-5, resolution=0.0), seed=1), diagnosis=False
-    )
-    for q, exact in zip((weighed.mass, *weighed.centre), (true.mass, *true.centre), strict=True):
-        assert q.low - q.std < exact.value < q.high + q.std
+    assert not {h.kind for h in calibrated.hidden} & {"encoder_offset", "sensor_rotation"}
+    quiet = simulate(setup, [moved], recorder=Recorder(force_std=1e-3, torque_std=1e-5, resolution=0.0), seed=1)
+    true = payload(quiet, diagnosis=False, frame="panda_link8")
+    for told in (weighed, calibrated):
+        assert told.mass is not None
+        for q, exact in zip((told.mass, *told.centre), (true.mass, *true.centre), strict=True):
+            assert q.low - q.std < exact.value < q.high + q.std
 
 
 def test_a_rotors_momentum_is_the_inertia_of_two_links_in_a_wrench(tmp_path):
