@@ -269,6 +269,8 @@ def _require_finite(name: str, array: np.ndarray) -> None:
 def _require_order(times: np.ndarray, motions: np.ndarray) -> None:
     """Refuse times (N,) that go back within a recording, told by ``motions`` (N,): out of order, samples show no correlation."""
     order = np.argsort(motions, kind="stable")
+    if (np.diff(motions[order]) == 0).any() and not np.ptp(times):
+        raise InputError(f"times are all {times[0]:g}, which is no order; give each sample its time")
     back = np.flatnonzero((np.diff(times[order]) < 0.0) & (np.diff(motions[order]) == 0))
     if len(back):
         before, here = order[back[0]], order[back[0] + 1]
