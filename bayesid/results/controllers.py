@@ -98,7 +98,7 @@ def ros(load: Load) -> str:
     KTH, *force_torque_tools*, parameters of ``gravity_compensation``.
     """
     centre, offset = _of_sensor(load)
-    frame, where = _sensor_frame(load, "rosrun tf2_ros static_transform_publisher {0} {1} {2} {5} {4} {3} {link} {frame}")
+    frame, where = _sensor_frame(load, lambda x, y, z, roll, pitch, yaw, *names: ("rosrun", x, y, z, yaw, pitch, roll, *names))
     return where + _yaml({
         "bias": _listed(offset), "gripper_com_frame_id": frame, "gripper_com_pose": _listed([*centre, 0.0, 0.0, 0.0]),
         "gripper_mass": _number(load.mass),
@@ -111,7 +111,7 @@ def ros2(load: Load) -> str:
     ros-controls, *control_toolbox*, parameters of ``gravity_compensation_filter``.
     """
     centre, _ = _of_sensor(load)
-    frame, where = _sensor_frame(load, _PUBLISHED)
+    frame, where = _sensor_frame(load, _in_ros2)
     return where + _yaml({"world_frame": load.world, "sensor_frame": frame}) + "tool:\n" + _yaml({
         "  pos": _listed(centre), "  gravity_field": _listed(load.gravity), "  mass": _number(load.mass),
     })  # fmt: skip
@@ -121,7 +121,7 @@ def admittance(load: Load) -> str:
     """YAML of ROS 2, ros-controls, *ros2_controllers*, ``admittance_controller``: the weight [N], and m in the sensor's frame."""
     centre, _ = _of_sensor(load)
     weight = load.mass * float(np.linalg.norm(load.gravity))
-    frame, where = _sensor_frame(load, _PUBLISHED)
+    frame, where = _sensor_frame(load, _in_ros2)
     return (
         f"{where}gravity_compensation:\n  frame:\n    id: {frame}\n    external: false\n"
         f"  CoG:\n    pos: {_listed(centre)}\n    force: {_number(weight)}\n"
@@ -160,21 +160,22 @@ def _of_sensor(load: Load) -> tuple[np.ndarray, np.ndarray]:
     return load.centre_in_sensor, load.offset
 
 
-#: How ROS 2 publishes a frame that stands still in another one.
-_PUBLISHED = (
-    "ros2 run tf2_ros static_transform_publisher --x {0} --y {1} --z {2} --roll {3} --pitch {4} --yaw {5} --frame-id {link} "
-    "--child-frame-id {frame}"
-)
+def _in_ros2(*values: str) -> tuple[str, ...]:
+    names = ("x", "y", "z", "roll", "pitch", "yaw", "frame-id", "child-frame-id")
+    return "ros2 run", *(f"--{name} {value}" for name, value in zip(names, values, strict=True))
 
 
-def _sensor_frame(load: Load, published: str) -> tuple[str, str]:
-    """Name of the frame of the sensor's axes, and comment lines that say where it is, if it is not that of its link."""
-    if load.mounted is None or not load.mounted.any():
+def _sensor_frame(load: Load, arguments: Callable[..., tuple[str, ...]]) -> tuple[str, str]:
+    """Name of the frame of the sensor's axes, and comment lines that say where it is, if it is not that of its link.
+
+    ``arguments`` gives how the publisher of such a frame is run, and its arguments, from pose, link and frame.
+    """
+    if load.sensor is None or load.mounted is None or not load.mounted.any():
         return load.sensor or "", ""
     frame = f"{load.sensor}_sensor"
-    command = published.format(*map(_number, load.mounted), link=load.sensor, frame=frame)
+    run, *given = arguments(*map(_number, load.mounted), load.sensor, frame)
     said = f"# {frame}: the sensor's own axes, as they are turned on {load.sensor}. Publish it, and stamp the wrench with it:\n"
-    return frame, f"{said}# {command}\n"
+    return frame, f"{said}# {run} tf2_ros static_transform_publisher {' '.join(given)}\n"
 
 
 def _rounded(values):
