@@ -276,7 +276,7 @@ def _left(d: Diagnosis, views: Views) -> ShownSection:
         in_noise += " The line is what a complete model would leave: noise, and what is not known of its fitted parameters."
     in_percent = (
         f"Residual of every channel in per cent of its signal (logarithmic axis), as identify leaves it{either}; the "
-        "sensor's own noise is not known."
+        "measurement noise is not known."
     )
     poses = d.data.poses
     end = "the effects named" if d.found else "the best attempt"

@@ -385,7 +385,7 @@ def _signals(diagnosis: Diagnosis, judged: list[tuple[SpectralSegment, np.ndarra
 def noise_parts(data: DiagnosisData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where the noise floor of each channel comes from, as standard deviations (c,).
 
-    Of the sensor's noise in one sample, and of what of it, and of the encoders' noise in the prediction, falls into the band that
+    Of the measurement noise in one sample, and of what of it, and of the encoders' noise in the prediction, falls into the band that
     is compared.
     """
     moving = [s for s in (*data.segments, *data.unseen) if not s.still or s.apart]

@@ -238,7 +238,7 @@ def _cards(result: Identification) -> list[tuple[str, str, str]]:
         mood = judged(p).mood
         large.append((percent(p.relative_error), f"error of the signal on ‘{p.motion}’, below {BAND:.2g} Hz", mood))
         if p.noise_known:
-            large.append((f"{number(p.times_noise, 3)} ×", f"the sensor's noise: the residual on ‘{p.motion}’", mood))
+            large.append((f"{number(p.times_noise, 3)} ×", f"the measurement noise: the residual on ‘{p.motion}’", mood))
     moved = result.urdf.moved
     if moved is not None and moved.distance is not None:
         text = f"from the estimate to links that can exist; {number(moved.allowed, 2)} is the 95 % region's radius"
@@ -343,8 +343,8 @@ def _errors(result: Identification) -> ShownSection:
     tables = [_error_table(p, role) for role, ps in (("validation", result.validation), ("fitted", result.fitted)) for p in ps]
     return ShownSection("Errors in numbers", [
         f"Root mean square of measured less predicted, in the band up to {number(BAND, 2)} Hz and on raw samples (where the "
-        "sensor's own noise counts in full), also relative to the root mean square of the reading. **Times noise** is the "
-        "residual below 10 Hz in units of the sensor's own noise (with what encoder errors make of a prediction), read off the "
+        "measurement noise counts in full), also relative to the root mean square of the reading. **Times noise** is the "
+        "residual below 10 Hz in units of the measurement noise (with what encoder errors make of a prediction), read off the "
         "readings and not off the fit: 1 is what that noise alone leaves, more is model error. Both numbers count: a motion "
         "that hardly moves leaves little but noise under any model, and a channel whose relative error is above 100 % is "
         "predicted worse than by zero, whatever its noise. **In the interval**: share of residuals inside their 95 % "

@@ -425,7 +425,7 @@ def left_text(diagnosis: Diagnosis) -> str:
         text = f"the residual goes {sizes} times the noise" if goes else f"{sizes} times the noise is left"
         return f"{text}; a complete model would leave {complete}"
     text = f"the error goes {sizes} of the signal" if goes else f"the error is {sizes} of the signal"
-    return f"{text} (the sensor's own noise is not known)"
+    return f"{text} (the measurement noise is not known)"
 
 
 def _times(p: Prediction) -> str:

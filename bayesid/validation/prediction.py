@@ -73,7 +73,7 @@ class Prediction:
     #: The same over the root mean square of what was measured (c,).
     nrmse: np.ndarray
     nrmse_raw: np.ndarray
-    #: Of the residual below 10 Hz in units of the noise floor, the sensor's own noise and what encoder errors make of a
+    #: Of the residual below 10 Hz in units of the noise floor, the measurement noise and what encoder errors make of a
     #: prediction; 1 is perfect.
     whitened_rms: float
     whitened_rms_by_channel: np.ndarray  # (c,)
@@ -420,16 +420,16 @@ def judged(prediction: Prediction) -> Judgement:
         # The only noise at hand is what the fit left over: it cannot tell model error from noise.
         mood = "fair" if error <= CLOSE else "bad"
         return Judgement(
-            mood, f"the sensor's own noise is not known here, so nothing says how much of that is missing in the model{wrong}"
+            mood, f"the measurement noise is not known here, so nothing says how much of that is missing in the model{wrong}"
         )
     if white <= largest:
         noise = not left_by_uncertain_parameters(prediction)
-        left = "the sensor's noise" if noise else "what noise and uncertain parameters leave"
+        left = "the measurement noise" if noise else "what noise and uncertain parameters leave"
         if worse_than_nothing(error):
-            size = "sensors' noise and what encoders' errors make of it" if noise else "errors that uncertain parameters make"
+            size = "measurement noise and what encoders' errors make of it" if noise else "errors that uncertain parameters make"
             return Judgement("fair", f"no prediction at all would be closer, though {size} are as large")
         if error > _NAMED and noise:
-            return Judgement("fair", "that is the sensor's noise: the readings of this motion hold little else, and prove little")
+            return Judgement("fair", "that is the measurement noise: the readings of this motion hold little else, and prove little")
         if error > _NAMED:
             text = f"that is {left}, {white:.3g} times the noise: the fitted motions say little of what this one needs"
             return Judgement("fair", text)
@@ -441,11 +441,11 @@ def judged(prediction: Prediction) -> Judgement:
             )
             return Judgement("fair", text)
         if not noise:
-            text = f"what is left, {white:.3g} times the sensor's noise, is {left}"
+            text = f"what is left, {white:.3g} times the measurement noise, is {left}"
             return Judgement("good" if not wrong else "fair", f"{text}{wrong}")
         where = f", though {prediction.channel_names[worst]} holds little but noise" if share > _NAMED else ""
         return Judgement("good", f"what is left is {left} ({white:.3g} times){where}")
-    times, missing = f"{white:.3g} times the sensor's noise", "something is missing in the model"
+    times, missing = f"{white:.3g} times the measurement noise", "something is missing in the model"
     if prediction.biased:
         missing = f"the estimator is biased, or {missing}"
     if error <= CLOSE:
@@ -508,5 +508,5 @@ def of_signal(prediction: Prediction) -> str:
 def over_noise(prediction: Prediction) -> str:
     """The residual over the noise, and which noise that is."""
     if prediction.noise_source == RESIDUALS:
-        return "not compared with the sensor's own noise, which is not known"
-    return f"{prediction.whitened_rms:.3g} times the sensor's noise"
+        return "not compared with the measurement noise, which is not known"
+    return f"{prediction.whitened_rms:.3g} times the measurement noise"

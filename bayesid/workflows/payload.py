@@ -25,6 +25,7 @@ from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Effect
 from bayesid.effects.bodies import body_of
 from bayesid.errors import InputError
+from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.readings import default_channel
@@ -220,7 +221,7 @@ def payload(
         sentences=found.sentences,
         warnings=of_recordings(experiment, found.warnings, [e.name for e in found.effects]), seconds=clock.stop(),
     )  # fmt: skip
-    return replace(result, sentences=(*_not_shown(result), *result.sentences))
+    return replace(result, sentences=(*_not_shown(result), *result.sentences, *_without(result)))
 
 
 def _weighed(asked: _Asked, body: int) -> _Found:
@@ -238,7 +239,7 @@ def _weighed(asked: _Asked, body: int) -> _Found:
         sentences = [_next_sentence(more), *sentences]
     return _Found(
         body, known, plain, of_any_motion(last.problem, body), tuple(others), found.effects, found.verdict, offset, more=more,
-        sentences=(*sentences, *_beside(found.effects, plain), _COMMON_GAIN),
+        sentences=(*sentences, *_beside(found.effects), _COMMON_GAIN),
         warnings=(
             *impossible_signs(last.estimate, last.problem), *_notes(found, plain, known), *contradictions(found.first.agreements)
         ),
@@ -262,7 +263,7 @@ def _beside_nominal(asked: _Asked, joint: str | None, rel_std: float) -> _Found:
         says = [f"The nominal model contributes {percent(share, 2)} of the mass's variance."]
     return _Found(
         body, known, plain, of_any_motion(found.best.problem, body), tuple(others), found.effects, found.verdict, share=share,
-        sentences=(*says, *_beside(found.effects, plain)),
+        sentences=(*says, *_beside(found.effects)),
         warnings=(*_notes(found, plain, known), *contradictions(found.first.agreements)),
     )  # fmt: skip
 
@@ -334,7 +335,7 @@ def _since(asked: _Asked, before: Experiment, joint: str | None) -> _Found:
     said = [f"Since {before.name} {came}: log evidence {number(evidence, 3)}."] if named else []
     beside = ", ".join(e.spec for e in others)
     if named and others and asked.diagnosis:
-        said += [f"Beside it changed: {beside}. It is in the model.", *_without(plain.possible)]
+        said += [f"Beside it changed: {beside}. It is in the model."]
         if plain.possible.mass.shown and not known.mass.shown:
             warnings.append(f"With {beside} in the model these recordings do not show the mass: move the robot in more ways.")
     elif named and others:
@@ -381,20 +382,20 @@ def _offset_sentence(offset: Sequence[Quantity]) -> str:
     return f"Sensor offset: {', '.join(values[:3])} N; {', '.join(values[3:])} N m."
 
 
-def _beside(effects: Sequence[EffectBeside], plain: BodyKnowledge) -> list[str]:
-    """What else is in the readings and in the model, and what the values would be without it."""
+def _beside(effects: Sequence[EffectBeside]) -> list[str]:
+    """What else is in the readings and in the model."""
     effects = [e for e in effects if e.in_model]
-    if not effects:
-        return []
-    return [f"Beside the payload the readings hold {'; '.join(map(str, effects))}. It is in the model.", *_without(plain)]
+    return [f"Beside the payload the readings hold {'; '.join(map(str, effects))}. It is in the model."] if effects else []
 
 
-def _without(plain: BodyKnowledge) -> list[str]:
-    """Mass and centre of mass without what else is in the readings."""
-    if not plain.mass.shown:
+def _without(result: PayloadEstimate) -> list[str]:
+    """Mass and centre of mass if nothing else were in the readings."""
+    names = [e.spec for e in result.effects if e.in_model]
+    mass, *centre = result.plain
+    if not names or not mass.shown:
         return []
-    centre = ", ".join(number(1e3 * q.value, 3) for q in plain.centre)
-    return [f"Without it: {number(plain.mass.value, 4)} kg, centre of mass ({centre}) mm in the carrying link's frame."]
+    where = ", ".join(number(1e3 * q.value, 3) for q in centre)
+    return [f"Without {listed(names, 4)} in the model: {number(mass.value, 4)} kg, centre of mass ({where}) mm."]
 
 
 def _not_shown(result: PayloadEstimate) -> list[str]:

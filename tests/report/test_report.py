@@ -60,7 +60,7 @@ def test_report_says_what_was_found_and_how_well_it_holds(page, result):
     ):  # fmt: skip
         assert heading in text
     assert f"All {result.base.rank} base parameters were identified" in text
-    assert "‘validation’" in text and "what is left is the sensor's noise" in text
+    assert "‘validation’" in text and "what is left is the measurement noise" in text
     for label in result.base.labels:
         assert label[:30] in text
     for channel in result.problem.row_model.channels.names:

@@ -43,7 +43,7 @@ def test_the_floor_is_the_sensors_noise(arm, low_pass):
     motion = result.validation[0]
     assert motion.whitened_rms == pytest.approx(motion.expected_rms, rel=0.1)
     assert motion.expected_rms < (1.15 if low_pass is None else 1.4)
-    assert judged(result.validation[0]).mood == "good" and "the sensor's noise" in over_noise(result.validation[0])
+    assert judged(result.validation[0]).mood == "good" and "the measurement noise" in over_noise(result.validation[0])
 
 
 @pytest.mark.parametrize("effects", [("viscous_friction", "coulomb_friction", "torque_offset"), ()])
@@ -141,7 +141,7 @@ def test_errors_of_uncertain_parameters_are_not_called_the_sensors_noise():
         assert told.mood == "fair" and said in told.text
         (warning,) = unpredicted([one])
         assert warning.endswith("Fit a motion like it, too.") and "diagnose" not in warning
-        for noise in ("is the sensor's noise", "hold little else", "encoders' errors", "holds little but noise"):
+        for noise in ("is the measurement noise", "hold little else", "encoders' errors", "holds little but noise"):
             assert noise not in told.text
     held = judged(_prediction(np.array([0.02, 0.02]), 100.0, np.array([10.0, 0.1]), expected_rms=900.0, largest_rms=1900.0))
     assert held.mood == "good" and "what noise and uncertain parameters leave" in held.text

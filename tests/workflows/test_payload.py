@@ -448,7 +448,9 @@ def test_what_else_changed_is_in_the_model_or_not_as_asked(tmp_path):
     path = [bayesid.fourier_trajectory(arm.robot, duration=10.0, seed=1)]
     loaded, before = (bayesid.simulate(arm, path, effects=e, recorder=NOISE, seed=s) for e, s in ((came, 2), ({}, 3)))
     whole, bare = (bayesid.payload(loaded, reference=before, diagnosis=d) for d in (True, False))
-    assert whole.mass.low < 1.0 < whole.mass.high and any("Without it: 0.997" in text for text in whole.sentences)
+    assert whole.mass.low < 1.0 < whole.mass.high and any(
+        "Without sensor_crosstalk@fx->fz in the model: 0.997" in text for text in whole.sentences
+    )
     for result in (whole, bare):
         assert result.to_dict()["without_effects"]["m"]["value"] == pytest.approx(bare.mass.value)
     assert abs(bare.mass.value - whole.mass.value) > whole.mass.std
