@@ -111,7 +111,7 @@ def _steps(c: ReferenceComparison) -> list[tuple[str, float]]:
 
 def _cards(c: ReferenceComparison) -> list[tuple[str, str, str]]:
     p = c.errors
-    words, mood = results.VERDICTS[c.verdict]
+    words, mood = results.verdict_words(c)
     large = [(words, f"since {c.reference.problem.experiment.name}", mood)]
     for x in c.changes[:2]:
         name, text, half, _, unit = results.value_text(x.values[0])

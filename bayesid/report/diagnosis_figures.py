@@ -385,8 +385,8 @@ def _signals(diagnosis: Diagnosis, judged: list[tuple[SpectralSegment, np.ndarra
 def noise_parts(data: DiagnosisData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where the noise floor of each channel comes from, as standard deviations (c,).
 
-    Of the measurement noise in one sample, and of what of it, and of the encoders' noise in the prediction, falls into the band that
-    is compared.
+    Of the measurement noise in one sample, and of what of it, and of the encoders' noise in the prediction, falls into the band
+    that is compared.
     """
     moving = [s for s in (*data.segments, *data.unseen) if not s.still or s.apart]
     sample = pose_noise(data) if moving[0].apart else quiet_noise([s.readings for s in moving])

@@ -120,6 +120,7 @@ class Changes(ShownResult):
             "effects": [entry for x in c.changes for entry in change_dicts(x)],
             "where": [self._place(p) for p in c.errors.places],
             "gap": self._gap(), "remainder": self._remainder(),
+            "friction": [{"name": v.name, "reference": v.before, **with_ends(v.value, v.std, v.unit)} for v in c.wandered],
             "candidates": [
                 {"name": h.name, "where": h.where, "log_bayes_factor": e, "minimum_detectable": minimum.get(h.spec, np.inf)}
                 for h, e in c.scores
@@ -202,6 +203,8 @@ def verdict_sentence(comparison: ReferenceComparison) -> str:
     """The verdict in plain words."""
     c = comparison
     since = f"since ‘{c.reference.problem.experiment.name}’"
+    if c.verdict == "nothing_missing" and c.wandered:
+        return f"No change is named {since}, but friction differs by more than it usually does: {wandered(c, 2)}."
     if c.verdict == "nothing_missing":
         return f"Nothing has changed {since} that this recording could show: friction and gains are within what they wander."
     if c.verdict == "unknown":
@@ -212,6 +215,22 @@ def verdict_sentence(comparison: ReferenceComparison) -> str:
         names.append(f"{'either ' * bool(rivals)}{worded(x.change, c)}" + (f" or {' or '.join(rivals)}" if rivals else ""))
     end = ", and more stays open" if c.verdict == "named_in_part" else ""
     return f"Changed {since}: {'; '.join(names)}{end}."
+
+
+def verdict_words(comparison: ReferenceComparison) -> tuple[str, str]:
+    """The verdict in a few words, and its colour."""
+    if comparison.verdict == "nothing_missing" and comparison.wandered:
+        return "no change named, friction differs", "fair"
+    return VERDICTS[comparison.verdict]
+
+
+def wandered(comparison: ReferenceComparison, shown: int) -> str:
+    """``coulomb_friction@joint2.level by 5.9 ± 0.6 N m from 9.98``, so many of them."""
+    texts = []
+    for v in comparison.wandered:
+        _, text, half, _, unit = value_text(v)
+        texts.append(f"{v.name} by {joined(text, half)} {powers(unit)} from {number(v.before, 3)}".replace("  ", " "))
+    return listed(texts, shown)
 
 
 def value_text(v: Value) -> tuple[str, str, str, str, str]:
@@ -271,6 +290,12 @@ def notes(comparison: ReferenceComparison) -> list[str]:
             out.append(f"A negative mass at {x.change.where}: something was taken away since the reference.")
     if c.described_by is not None:
         out.append(f"What stays goes with {c.described_by}.")
+    if c.wandered:
+        out.append(f"Friction that differs by more than it usually does from day to day: {wandered(c, 6)}.")
+    if c.verdict == "nothing_missing" and c.wandered and c.scores:
+        best, evidence = max(c.scores, key=lambda x: x[1])
+        needed = number(c.settings.accept, 3)
+        out.append(f"The best single change is {best.spec}, with a log evidence of {number(evidence, 3)}; {needed} is asked for.")
     if (strange := no_such_robot(c.recording, c.errors)).any():
         names = listed([n for n, s in zip(c.recording.problem.row_model.channels.names, strange, strict=True) if s])
         out.append(
@@ -355,17 +380,25 @@ class Watched:
     @property
     def line(self) -> list[Cell]:
         """Cells of the table: name, verdict, what changed, the gap, and what is left over the noise."""
-        verdict = VERDICTS[self.verdict]
         if self.comparison is None:
-            return [self.name, verdict, self.complaint, DASH, DASH]
+            return [self.name, VERDICTS[self.verdict], self.complaint, DASH, DASH]
         noise = number(self.times_noise, 3) if np.isfinite(self.times_noise) else DASH
-        return [self.name, verdict, "; ".join(map(_change_text, self.changes)) or DASH, number(self.gap, 3), noise]
+        return [self.name, verdict_words(self.comparison), self._said or DASH, number(self.gap, 3), noise]
+
+    @property
+    def _said(self) -> str:
+        """What changed, or what friction differs."""
+        if self.comparison is None:
+            return self.complaint
+        return "; ".join(map(_change_text, self.changes)) or (
+            f"({wandered(self.comparison, 1)})" if self.comparison.wandered else ""
+        )
 
     def __str__(self) -> str:
         """The recording in one line."""
-        said = self.complaint or "; ".join(map(_change_text, self.changes))
+        words = VERDICTS[self.verdict] if self.comparison is None else verdict_words(self.comparison)
         gap = "" if self.comparison is None else f" (residual {number(self.gap, 3)} times that of its own fit)"
-        return f"{self.name}: {VERDICTS[self.verdict][0]}{f': {said}' if said else ''}{gap}"
+        return f"{self.name}: {words[0]}{f': {self._said}' if self._said else ''}{gap}"
 
     def to_dict(self) -> dict[str, Any]:
         """An entry of ``watch.json``."""
@@ -435,8 +468,11 @@ class Watch(ShownResult):
             out.append(f"{spec}: first in {where[0]}" + (f", in {part} recordings from then on" if len(later) > 1 else ""))
         if unknown := [w.name for w in self.recordings if w.verdict == "unknown"]:
             out.append(f"Changed in {listed(unknown, 6)}, and no effect of the library is confirmed to explain any of it")
+        differs = [w.name for w in self.recordings if _differs(w)]
         if not out:
-            out.append("Nothing changed that these recordings could show")
+            out.append("No change is named" if differs else "Nothing changed that these recordings could show")
+        if differs:
+            out.append(f"In {listed(differs, 6)} friction differs by more than it usually does from day to day")
         if len(names) < self.planned:
             out.append(f"Interrupted: {len(names)} of {self.planned} recordings were compared")
         return out
@@ -470,6 +506,11 @@ class Watch(ShownResult):
             "history": {spec: list(where) for spec, where in self.history.items()},
             "warnings": list(self.warnings), "runtime_s": self.seconds,
         })  # fmt: skip
+
+
+def _differs(w: Watched) -> bool:
+    """Whether no change is named in a recording, and friction differs by more than it usually does."""
+    return w.comparison is not None and w.verdict == "nothing_missing" and bool(w.comparison.wandered)
 
 
 def _change_text(x: NamedChange) -> str:

@@ -429,7 +429,9 @@ def judged(prediction: Prediction) -> Judgement:
             size = "measurement noise and what encoders' errors make of it" if noise else "errors that uncertain parameters make"
             return Judgement("fair", f"no prediction at all would be closer, though {size} are as large")
         if error > _NAMED and noise:
-            return Judgement("fair", "that is the measurement noise: the readings of this motion hold little else, and prove little")
+            return Judgement(
+                "fair", "that is the measurement noise: the readings of this motion hold little else, and prove little"
+            )
         if error > _NAMED:
             text = f"that is {left}, {white:.3g} times the noise: the fitted motions say little of what this one needs"
             return Judgement("fair", text)

@@ -43,7 +43,7 @@ from bayesid.results.excitation import telling_sentence
 from bayesid.results.fitted_model import fitted_model
 from bayesid.validation.own_fit import before_and_after, chosen_bandwidth, predicted_worse
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
-from bayesid.workflows.warnings import mistakes, of_recordings, of_reference
+from bayesid.workflows.warnings import lacking_reference, mistakes, of_recordings, of_reference
 
 
 class DiagnoseChoices(TypedDict, total=False):
@@ -145,7 +145,7 @@ def diagnose(
             )
             progress("signs, frames and units")
             said = of_recordings(experiment, (), [x.change.name for x in found.changes])
-            said = (*said, *of_reference(before, said))
+            said = (*said, *lacking_reference(found.reference.problem), *of_reference(before, said))
             return Changes(found, time.perf_counter() - since, said)
         recorded = as_experiment(experiment)
         recorded = recorded if effects is None else replace(recorded, effects=tuple(effects))

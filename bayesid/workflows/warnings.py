@@ -20,6 +20,7 @@ from bayesid.regression.readings import has_readings
 from bayesid.section import powers
 from bayesid.validation.agreement import Agreement
 from bayesid.validation.mistakes.candidates import Mistake
+from bayesid.validation.own_fit import fit_and_predict
 from bayesid.validation.prediction import Prediction, judged, leaves_more, left_by_uncertain_parameters, of_signal, useless
 
 _CERTAIN = 3.0  # standard deviations below zero
@@ -83,6 +84,19 @@ def _unexplained(experiment: Experiment, named: Iterable[str]) -> list[Mistake]:
 def of_reference(reference: Experiment, said: Iterable[str] = ()) -> tuple[str, ...]:
     """The same of recordings that others are compared with, without what was ``said`` of those already."""
     return tuple(f"In the reference: {text}" for text in of_recordings(reference, ()) if text not in said)
+
+
+def lacking_reference(problem: Problem) -> list[str]:
+    """That a reference's own fit leaves more than noise: what its model lacks has to be allowed for in what friction wanders."""
+    left = [p for p in fit_and_predict(problem)[1] if p.fitted and leaves_more(p)]
+    if not left:
+        return []
+    worst = max(left, key=lambda p: p.whitened_rms)
+    return [
+        f"In the reference: its model leaves {worst.whitened_rms:.3g} times the measurement noise of motion '{worst.motion}'. "
+        f"What it lacks hides changes: find it with `{call('diagnose')}` on the reference alone, and write what that names, its "
+        "model.toml, into the reference's experiment.toml."
+    ]
 
 
 def unseen_effects(problem: Problem) -> list[str]:

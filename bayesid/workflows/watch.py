@@ -23,7 +23,7 @@ from bayesid.results.changes import Watch, Watched
 from bayesid.tasks import cluster, map_tasks
 from bayesid.validation.prediction import Prediction, predict_elsewhere
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
-from bayesid.workflows.warnings import of_recordings, of_reference
+from bayesid.workflows.warnings import lacking_reference, of_recordings, of_reference
 
 
 @shows_progress
@@ -101,9 +101,8 @@ def watch(
         raise InputError(f"none of the recordings could be compared; the first, {done[0].name}: {done[0].complaint}")
     folder = None if before.folder is None else str(before.folder)
     said = {text for w in done for text in w.warnings}
-    return Watch(
-        before.name, folder, tuple(done), accept, len(series), time.perf_counter() - since, of_reference(before, said)
-    )  # fmt: skip
+    warnings = (*lacking_reference(learn().problem), *of_reference(before, said))
+    return Watch(before.name, folder, tuple(done), accept, len(series), time.perf_counter() - since, warnings)
 
 
 class _Learned:

@@ -281,6 +281,30 @@ def test_friction_of_one_joint_is_named(arm):
     assert abs(level.value - 8.0) < 3.0 * level.std + 0.8
 
 
+def test_friction_that_differs_is_told_where_it_has_no_name(arm):
+    """Ripple of which the model says nothing: friction of a joint that grew by 40 % was "within what it wanders"."""
+
+    def recorded(seed, factor):
+        grown = np.where(np.arange(6) == 1, factor, 1.0)
+        made = _recorded(arm, seed, coulomb=grown * COULOMB, viscous=grown * VISCOUS)
+        (run,) = made.motions
+        torques = run.table.torques + 2.0 * np.sin(40.0 * run.table.positions)
+        return replace(made, motions=(replace(run, table=replace(run.table, torques=torques)),))
+
+    before = recorded(1, 1.0)
+    same, found = (bayesid.diagnose(recorded(2, factor), reference=before) for factor in (1.0, 1.4))
+    assert found.verdict == same.verdict == "nothing_missing" and not same.comparison.wandered
+    true = {"coulomb_friction@joint2.level": 3.2, "viscous_friction@joint2.coefficient": 2.8}
+    assert {v.name for v in found.comparison.wandered} == set(true)
+    for v in found.comparison.wandered:
+        assert abs(v.value - true[v.name]) < 2.0 * v.std
+    assert "friction and gains are within" in str(same) and "friction and gains are within" not in str(found)
+    assert "No change is named since ‘test’, but friction differs" in str(found)
+    assert [f["name"] for f in found.to_dict()["friction"]] == [v.name for v in found.comparison.wandered]
+    for result in (same, found):
+        assert any("its model leaves" in text and "the reference alone" in text for text in result.remarks)
+
+
 def test_all_friction_of_a_joint_changes_by_one_factor(arm, tmp_path):
     """It was sought one parameter at a time, each beside the other's change: neither had the evidence that both have."""
     twice = np.where(np.arange(6) == 1, 2.0, 1.0)

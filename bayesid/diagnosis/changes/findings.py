@@ -24,6 +24,7 @@ from bayesid.errors import InputError
 from bayesid.estimators.conic.problem import nearest_body
 from bayesid.recordings.experiment import Experiment
 from bayesid.robot.robot import Robot
+from bayesid.rounding import HALF
 
 #: Factor to which the smallest size is sought.
 _PRECISION = 1.02
@@ -115,7 +116,7 @@ def verdict(selection: Selection, errors: HeldOutErrors, settings: Settings, mor
 class Value:
     """A parameter of a change."""
 
-    #: Of the parameter, with the joint in front where all joints share the change.
+    #: Of the parameter, with the effect in front where it is not that of the change.
     name: str
     unit: str
     #: The change since the reference, and its standard deviation; nan where it is a shape that was held.
@@ -162,6 +163,8 @@ class ReferenceComparison:
     hidden: tuple[HiddenChange, ...]  # how large every other change had to be to be named
     terms: tuple[Term, ...]  # effects of the later recording: the reference's at their new values, then those that came
     settings: Settings = DEFAULT  # thresholds it was decided by
+    #: Friction in no named change of which the 95 % interval lies beyond what it usually wanders, the most certain first.
+    wandered: tuple[Value, ...] = ()
 
     @property
     def scores(self) -> Scores:
@@ -237,8 +240,23 @@ def compare_with_learned(
     )
     return ReferenceComparison(
         reference, recording, selection, errors, decided, changes, smallest(selection, settings),
-        (*_known_terms(reference, fitted), *_new_terms(changes)), settings,
+        (*_known_terms(reference, fitted), *_new_terms(changes)), settings, _wandered(reference, fitted, changes),
     )  # fmt: skip
+
+
+def _wandered(reference: Reference, fitted: Amplitudes, changes: Sequence[NamedChange]) -> tuple[Value, ...]:
+    """Friction that differs by more than it usually does, with 95 % confidence, and is in no change that is named.
+
+    Offsets are left out: near zero they have no size of which they could differ by a share.
+    """
+    model, usual = reference.problem.row_model, reference.wanders(friction=True)
+    first, count = model.base.rank, len(reference.solution)
+    values, std = fitted.all[:count], np.sqrt(np.sum((fitted.directions[:count] @ fitted.root) ** 2, axis=1))
+    far = np.flatnonzero((usual > 0.0) & (np.abs(values) - HALF * std > HALF * usual))
+    named = {k for c in changes if c.change.known for k in c.change.columns.tolist()}
+    free = model.of_free((e, f"{e.spec}.{n}", u) for e in model.effects for n, u in zip(e.parameters, e.units, strict=True))
+    far = sorted((k for k in set(far.tolist()) - named if free[k - first][0].part_of), key=lambda k: std[k] / abs(values[k]))
+    return tuple(Value(*free[k - first][1:], float(values[k]), float(std[k]), float(reference.solution[k])) for k in far)
 
 
 def _estimates(robot: Robot, selection: Selection, fitted: Amplitudes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
