@@ -134,8 +134,8 @@ class TruncatedSVD:
     def fit(self, regression: Regression) -> Estimate:
         """Estimate; effects are not truncated."""
         r = regression.base.rank
-        if self.rank is not None and not 0 <= self.rank <= r:
-            raise InputError(f"tsvd rank = {self.rank}: give 0 to {r}")
+        if self.rank is not None and not (0 <= self.rank <= r and self.rank == int(self.rank)):
+            raise InputError(f"tsvd rank = {self.rank}: give a whole number, 0 to {r}")
         weights = learn_weights(regression)
         factor, _ = weighted_factor(regression, weights, self.weights)
 

@@ -176,4 +176,6 @@ def as_table(given: Mapping[str, Any], robot: Robot, source: str) -> Table:
         if sorted(map(str, columns)) == sorted(order) and columns != list(order):
             remedy = "give them in this order" + ("" if key == "wrench" else ", or joints=[...] in that of the columns")
             raise InputError(f"{source}: {key}: the columns are {listed(columns)}, not {listed(order)}; {remedy}")
-    return Table(**{names[key]: value for key, value in given.items()}, source=source)
+    # Copies: whoever reads the next recording into the same array would change this one.
+    own = {names[key]: values.copy() if hasattr(values, "copy") else values for key, values in given.items()}
+    return Table(**own, source=source)

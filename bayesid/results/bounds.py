@@ -27,7 +27,7 @@ from bayesid.results.fitted_model import joint_dynamics
 from bayesid.robot.urdf import write_urdf
 from bayesid.rounding import HALF, number, percent
 from bayesid.section import Part, ShownTable
-from bayesid.validation.predicted_readings import checked_states
+from bayesid.validation.predicted_readings import checked_states, checked_times
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -157,6 +157,7 @@ class ControllerBounds(_HasRegion, ByName, ShownResult):
         """
         model = self.torque_model
         q, v, a = checked_states(model.robot, q, v, a)
+        times = None if times is None else checked_times(times, len(q))
         return band(model, q, v, a, times, self.trained[0], self.remainder, self.seed)
 
     def wrench(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None) -> Band:
@@ -170,6 +171,7 @@ class ControllerBounds(_HasRegion, ByName, ShownResult):
         if self.wrench_model is None:
             raise InputError("the experiment has no [sensor], so it has no wrench; describe it in experiment.toml")
         q, v, a = checked_states(self.wrench_model.robot, q, v, a)
+        times = None if times is None else checked_times(times, len(q))
         return band(self.wrench_model, q, v, a, times, self.trained[1], self.wrench_remainder, self.seed)
 
     def control_columns(
@@ -197,14 +199,16 @@ class ControllerBounds(_HasRegion, ByName, ShownResult):
         Raises
         ------
         InputError
-            The shape is neither, or the width is not positive.
+            The shape is neither, the width is not positive, or there is no column for every parameter.
         """
         if not width > 0.0:
             raise InputError(f"width = {width}: give a positive number, or the term would jump")
-        radius = self._radius(shape)
+        radius, sliding, count = self._radius(shape), np.asarray(sliding, float), len(self.covariance)
+        if sliding.shape[-1:] != (count,):
+            raise InputError(f"sliding has shape {sliding.shape}: give Y' r, one column for each of the {count} parameters")
         if shape == "ball":
-            return norm_term(np.asarray(sliding, float), radius, width)
-        return ellipsoid_term(np.asarray(sliding, float), self.covariance, radius, width)
+            return norm_term(sliding, radius, width)
+        return ellipsoid_term(sliding, self.covariance, radius, width)
 
     def _radius(self, shape: str) -> float:
         if shape not in ("ellipsoid", "ball"):
@@ -230,9 +234,12 @@ class ControllerBounds(_HasRegion, ByName, ShownResult):
         Raises
         ------
         InputError
-            Something is not positive, or the shape is neither.
+            Something is not positive or not one for every joint, or the shape is neither.
         """
         n, w = self.torque_model.robot.n, self.workspace
+        for name, given in (("gains", gains), ("other", other)):
+            if np.shape(given) not in ((), (n,)):
+                raise InputError(f"{name} has shape {np.shape(given)}: give one number, or one for each of the {n} joints")
         diagonal = np.broadcast_to(np.asarray(gains, float), n)
         if not (np.all(diagonal > 0.0) and rate > 0.0 and width > 0.0):
             raise InputError(f"gains = {gains}, rate = {rate}, width = {width}: give positive numbers")

@@ -52,7 +52,7 @@ class Entry:
     validation: tuple[Prediction, ...] = ()
 
     def __repr__(self) -> str:
-        return f"<Entry {self.name}: {'refused' if self.estimate is None else 'fitted'}>"
+        return f"<Entry {self.name}: {'refused' if self.refusal else 'fitted'}>"
 
     @property
     def physically_consistent(self) -> bool | None:

@@ -36,7 +36,7 @@ def _base_parameters(document: _Document) -> Iterator[dict[str, Any]]:
 
 def _influences(document: _Document) -> Iterator[dict[str, Any]]:
     """A row a level of every factor that was varied, then one an effect that the model lacks."""
-    for factor in document["factors"]:
+    for factor in document.get("factors", ()):  # not there where nothing was simulated
         yield from ({"factor": factor["name"], **level} for level in factor["levels"])
     for of in document["bias_susceptibility"]:
         yield {"factor": "effect left out", "label": f"{of['effect']}@{of['where']}", **of}

@@ -153,8 +153,10 @@ def _link(link: LinkExpectation, report: SetReport) -> dict[str, Any]:
 
 
 def motions_text(result: Identifiability) -> str:
-    """The motions and what they last."""
-    return ", ".join(n + (f" ({number(d, 3)} s)" if d else "") for n, d in result.motions.items())
+    """The motions, those of a regression by their numbers, and what they last."""
+    return ", ".join(
+        (f"motion {n}" if n.isdigit() else n) + (f" ({number(d, 3)} s)" if d else "") for n, d in result.motions.items()
+    )
 
 
 def answer(result: Identifiability) -> str:

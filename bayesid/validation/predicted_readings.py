@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import null_space
@@ -16,6 +17,9 @@ from bayesid.regression.problem import Problem
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
 from bayesid.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +49,17 @@ class PredictedReadings:
         """Upper ends of the 95 % band, reading by reading (N, c)."""
         return central_interval(self.values, self.std)[1]
 
+    def to_dataframe(self) -> DataFrame:
+        """A row a sample and reading: ``sample``, ``channel``, ``unit``, ``value``, ``std``, ``low``, ``high``."""
+        from pandas import DataFrame
+
+        count, channels = self.values.shape
+        return DataFrame({
+            "sample": np.repeat(np.arange(count), channels), "channel": np.tile(self.channel_names, count),
+            "unit": np.tile(self.channel_units, count),
+            "value": self.values.ravel(), "std": self.std.ravel(), "low": self.low.ravel(), "high": self.high.ravel(),
+        })  # fmt: skip
+
     def __repr__(self) -> str:
         gravity = "" if self.gravity else ", without gravity"
         return f"<PredictedReadings: {len(self.values)} samples of {', '.join(self.channel_names)}{gravity}>"
@@ -58,6 +73,14 @@ def checked_states(robot: Robot, *states: np.ndarray) -> list[np.ndarray]:
             raise InputError(f"{name} has shape {x.shape}: give (N, {robot.n}), one column a joint, all with the same N")
         if not np.isfinite(x).all():
             raise InputError(f"{name} is not finite in row {int(np.argwhere(~np.isfinite(x))[0][0])}; leave that sample out")
+    return out
+
+
+def checked_times(times: np.ndarray, count: int) -> np.ndarray:
+    """Times of so many samples (N,) [s]; an `InputError` where they are not as many, or do not rise."""
+    out = np.asarray(times, float)
+    if out.shape != (count,) or not (np.isfinite(out).all() and (np.diff(out) > 0).all()):
+        raise InputError(f"times: give {count} increasing times [s], one a sample of q")
     return out
 
 
@@ -85,9 +108,7 @@ def predict_readings(
         _require_timeless(problem, states, gravity)
         clock = np.arange(count, dtype=float)
     else:
-        clock = np.asarray(times, float)
-        if clock.shape != (count,) or not (np.isfinite(clock).all() and (np.diff(clock) > 0).all()):
-            raise InputError(f"times: give {count} increasing times [s], one a sample of q")
+        clock = checked_times(times, count)
     matrix, constant = _columns(row_model, clock, states, gravity)
     values = constant + matrix @ solution
     std = np.full(values.shape, np.nan)

@@ -30,7 +30,7 @@ from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
 from bayesid.validation.agreement import HausmanTest, gaps, hausman, nominal_estimates
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
-from bayesid.validation.prediction import predict, useless
+from bayesid.validation.prediction import judged, predict, useless
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.urdf_links import urdf_links
 from bayesid.workflows.warnings import (
@@ -41,6 +41,7 @@ from bayesid.workflows.warnings import (
     quoted,
     repeated_motions,
     too_late,
+    unpredicted,
     unseen_effects,
     unusable,
     without_static_run,
@@ -245,7 +246,7 @@ def _warnings(
         out = [
             *unseen_effects(problem), *without_static_run(problem), *too_late(problem), *not_settled(problem, sure),
             *repeated_motions(done[0].validation), *beyond_poses(done[0].validation), *mistakes,
-            *_beaten(done, baselines[-1], nominal),
+            *_beaten(done, baselines[-1], nominal), *([] if no_use else _left(done)),
         ]  # fmt: skip
         if not done[0].validation:
             out.append(
@@ -275,6 +276,14 @@ def _warnings(
     if problem is None:
         return tuple(out)
     return (*no_use, *problem.experiment.with_findings(out, validated=bool(done[0].validation)))
+
+
+def _left(done: Sequence[Entry]) -> list[str]:
+    """That every estimator leaves more than a complete model does, in a line on the one that leaves least."""
+    best = min(done, key=lambda e: max((p.relative_error for p in e.predictions), default=0.0))
+    if not all(any(judged(p).mood != "good" for p in e.validation) for e in done):
+        return []
+    return [f"By the best of them, {best.name}: {text}" for text in unpredicted(best.validation)]
 
 
 def _beaten(done: Sequence[Entry], nominal: Entry, model: str) -> list[str]:

@@ -78,9 +78,10 @@ def missing_rotors(
         lacks = "The URDF's masses or inertias are wrong, or the model lacks something: do not rely on these."
         return [] if links.usable else [said + lacks]
     effects = [effect.spec for effect in problem.row_model.effects]
-    repaired = None
-    if not any(spec.startswith(_ROTORS) for spec in effects):
-        repaired = _links_with(problem, method, replace(options, effects=[*effects, _ROTORS]), complete=possible)
+    rotors, repaired = [spec for spec in effects if spec.startswith(_ROTORS)], None
+    if len(rotors) < len(problem.experiment.torque_joints):
+        every = [*(spec for spec in effects if spec not in rotors), _ROTORS]
+        repaired = _links_with(problem, method, replace(options, effects=every), complete=possible)
     if repaired is None or not repaired.usable or impossible(repaired):
         lacks = "The model lacks something that acts like inertia, or the URDF's masses are wrong: do not rely on these."
         return [] if links.usable else [said + lacks]
@@ -88,8 +89,13 @@ def missing_rotors(
     then = "nothing else is missing in it" if possible else f"the links of identified.urdf can exist, with {repaired.mass:.3g} kg"
     return [
         f"{'' if links.usable else said}With {_ROTORS} in the model {then}, and the error of '{motion}' goes from "
-        f"{100 * before:.3g} to {100 * repaired.errors[motion][0]:.3g} %: the rotors of the drives seem to be missing. "
-        f"Add {_ROTORS} to [model] effects."
+        f"{100 * before:.3g} to {100 * repaired.errors[motion][0]:.3g} %: "
+        + (
+            f"beside those of some joints, {_ROTORS} of the others seems to be missing. Put {_ROTORS}, of all, in place of "
+            f"{', '.join(rotors)} in [model] effects."
+            if rotors
+            else f"the rotors of the drives seem to be missing. Add {_ROTORS} to [model] effects."
+        )
     ]
 
 

@@ -20,7 +20,7 @@ from bayesid.design.excitation.limits import Limits, LoadLimit
 from bayesid.design.excitation.optimise import Task, TrajectorySearch, search
 from bayesid.design.excitation.options import BELOW_RESONANCE, ExcitationOptions, largest_accelerations, sensor_ranges
 from bayesid.design.excitation.series import Coordinates, FourierSeries, fitted_series
-from bayesid.design.reading_noise import SENSOR_SETS, SensorSet, white_noise
+from bayesid.design.reading_noise import SENSOR_SETS, ReadingNoise, SensorSet, white_noise
 from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import EstimationError, InputError, require_one_of
@@ -28,6 +28,7 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.regression.readings import CHANNELS, default_channel, make_channels
 from bayesid.robot.prior import states_masses
 from bayesid.robot.robot import joint_index, motion_limits
+from bayesid.rounding import number
 from bayesid.simulation.trajectories import Trajectory
 
 #: Damping ratio where none is known; it matters near the resonance only.
@@ -83,6 +84,15 @@ def sensor_set_of(experiment: Experiment, options: ExcitationOptions) -> SensorS
     return SENSOR_SETS["torque" if channel == "torque" else "both-offset"]
 
 
+def _assumed(kind: str, noise: ReadingNoise) -> str:
+    """Which noise is assumed, and what that means for the plan."""
+    if kind == "wrench":
+        return "The noise of the wrench is assumed, as experiment.toml states none ([sensor] force_std and torque_std)."
+    std = noise.torque["trajectory"].std
+    size = " to ".join(dict.fromkeys(number(float(x), 2) for x in (std.min(), std.max())))
+    return f"The noise of the torque is assumed, {size} N m by joint: expected errors grow with it, all by one factor."
+
+
 def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0) -> tuple[Task, tuple[str, ...]]:
     """What is to be optimised, and notes of what was assumed; an `InputError` where an option does not fit the robot."""
     robot, notes = experiment.robot, []
@@ -90,7 +100,7 @@ def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0)
     sensor_set = sensor_set_of(experiment, options)
     noise = white_noise(robot, experiment.sensor, joints=experiment.torque_joints)
     kinds = ("wrench", "torque") if sensor_set.channel == "both" else (sensor_set.channel,)
-    notes += [f"The noise of the {k} is assumed, as experiment.toml states none." for k in kinds if noise.sources[k] == "assumed"]
+    notes += [_assumed(k, noise) for k in kinds if noise.sources[k] == "assumed"]
     lower, upper, fastest = motion_limits(robot)
     middle, half = 0.5 * (lower + upper), 0.5 * options.share * (upper - lower)
     held = middle.copy()

@@ -41,7 +41,7 @@ from bayesid.estimators.estimator import OPTIONAL, Details, Estimate
 from bayesid.estimators.least_squares import completeness, likelihood_weights, make_estimate, weighted_factor
 from bayesid.estimators.prior_check import Evidence, PriorCheck, compared
 from bayesid.estimators.weights import learn_weights
-from bayesid.recordings.complaints import in_words
+from bayesid.recordings.complaints import in_words, listed
 from bayesid.regression.linalg import UNSEEN, determined_inverse, pseudo_inverse
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
@@ -281,7 +281,7 @@ class Physical:
             physics=physics,
             certificate=Certificate.of(problem, solution, data.names),
             covariance_of=about,
-            warnings=(_contradiction(physics),) if physics.data_contradict_physics else (),
+            warnings=(_contradiction(physics, solution.active),) if physics.data_contradict_physics else (),
         )
         return replace(
             estimate,
@@ -358,11 +358,17 @@ def _solved(
     return solution, problem, PhysicsTest.of(least, directions, nearest == least), closest
 
 
-def _contradiction(physics: PhysicsTest) -> str:
+def _contradiction(physics: PhysicsTest, bounds: Sequence[str]) -> str:
+    chance = f"(chance at most {physics.probability_at_most:.2g})"
+    if bounds:
+        return (
+            f"The data contradict what is stated: within {listed(bounds, 4)}, where the estimate ends, no body fits them to "
+            f"their noise {chance}, and the intervals do not cover that. Is the bound right? Else the model misses something; "
+            f"`{call('diagnose')}` looks for it."
+        )
     return (
-        "The data contradict physics: no body that can exist fits them to their noise (chance at most "
-        f"{physics.probability_at_most:.2g}). The model misses something, which the intervals do not cover; "
-        f"`{call('diagnose')}` looks for it."
+        f"The data contradict physics: no body that can exist fits them to their noise {chance}. The model misses something, "
+        f"which the intervals do not cover; `{call('diagnose')}` looks for it."
     )
 
 
