@@ -178,6 +178,20 @@ def test_readings_of_no_body_are_warned_of(tmp_path):
         assert any("contradict physics" in w for w in found.warnings) == warned
 
 
+def test_a_bound_that_the_data_contradict_is_named(tmp_path):
+    """It was said that no body can exist and the model misses something, and of the bound nothing."""
+    robot, truth, _ = simulated(tmp_path, trust=0.3)
+    table = recording(robot, None, fourier(robot, 0), torque_std=0.02, resolution=1e-5, phi=truth, seed=0)
+    total = truth.reshape(-1, 10)[:, 0].sum()
+    regression = prepare(experiment(robot, [Motion("a", "identification", table)], inertia_rel_std=0.3)).regression
+    wrong, right = (
+        fit(regression, Physical(bounds=Bounds(total_mass=(a * total, b * total)))) for a, b in ((0.1, 0.2), (0.5, 2))
+    )
+    (line,) = (w for w in wrong.details.warnings if "contradict" in w)
+    assert "total mass in [" in line and "Is the bound right?" in line and "contradict physics" not in line
+    assert not any("contradict" in w for w in right.details.warnings)
+
+
 @pytest.mark.filterwarnings("ignore:sdp. certified to:bayesid.errors.BayesidWarning")
 def test_a_solver_that_stops_still_tells_what_contradicts_physics(tmp_path, monkeypatch):
     """Multipliers of an unfinished solution bound the distance from below: enough where the readings are of no body at all."""

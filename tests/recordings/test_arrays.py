@@ -52,6 +52,18 @@ def test_arrays_and_files_give_the_same_estimate(arm) -> None:
     assert from_arrays.warnings == from_file.warnings
 
 
+def test_a_buffer_that_is_read_into_again_leaves_the_experiment_as_it_was(arm) -> None:
+    """Arrays were views: the next recording, read into the same memory, changed the one that was made before."""
+    folder, first, _ = arm
+    robot, buffers = load_experiment(folder).robot, {key: first[names].to_numpy() for key, names in (("q", Q), ("torques", TAU))}
+    one = Experiment.from_arrays(robot, first["t"].to_numpy(), buffers["q"], torques=buffers["torques"])
+    before = one.motions[0].table.positions.copy(), one.motions[0].table.torques.copy()
+    for buffer in buffers.values():
+        buffer[:] = 0.0
+    np.testing.assert_array_equal(one.motions[0].table.positions, before[0])
+    np.testing.assert_array_equal(one.motions[0].table.torques, before[1])
+
+
 @pytest.mark.parametrize("kind", [list, np.asarray, pd.DataFrame])
 def test_lists_arrays_and_frames_are_one(arm, kind) -> None:
     _, first, _ = arm

@@ -120,6 +120,7 @@ def test_nominal_links_may_be_the_truth(folder):
     base = result.bench.problem.row_model.base
     np.testing.assert_allclose(result.bench.truth[: base.rank], base.matrix @ robot.nominal.ravel())
     assert result.certificate is None and result.to_dict()["truth"] == "nominal"
+    assert result.to_dataframe()["factor"].unique().tolist() == ["effect left out"]  # nothing was simulated
 
 
 def test_a_page_without_warnings_claims_no_more_than_was_done(result):

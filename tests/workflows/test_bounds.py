@@ -170,6 +170,17 @@ def test_a_shape_that_there_is_not_is_refused(identified):
             ask(np.ones(len(identified.values)), 0.02, "box")
 
 
+def test_shapes_that_do_not_fit_are_refused(identified):
+    q = np.zeros((3, len(identified.torque_model.robot.joint_names)))
+    with pytest.raises(bayesid.InputError, match="times: give 3 increasing times"):
+        identified.torque(q, q, q, np.arange(2.0))
+    with pytest.raises(bayesid.InputError, match="sliding has shape"):
+        identified.robust_term(np.ones(len(identified.values) + 1), 0.02)
+    for asked, name in (((np.ones(9), 5.0, 0.02), "gains"), ((5.0, 5.0, 0.02, "ball", np.ones(9)), "other")):
+        with pytest.raises(bayesid.InputError, match=f"{name} has shape .9,.: give one number"):
+            identified.tracking_bound(*asked)
+
+
 def test_files_hold_what_was_found(arm, runs, tmp_path):
     result = bayesid.bounds(runs["estimate"], urdfs=2, configurations=32)
     result.write(tmp_path / "out")

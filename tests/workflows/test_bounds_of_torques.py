@@ -69,7 +69,10 @@ def lacking(robot):
 def test_the_centre_is_the_estimate(robot, complete, lacking):
     for estimate, bounds in (complete, lacking):
         _, q, v, a = fourier(robot, 8, duration=2.0)
-        np.testing.assert_allclose(bounds.torque(q, v, a).values, estimate.predict(q, v, a).values, rtol=1e-9, atol=1e-9)
+        predicted = estimate.predict(q, v, a)
+        np.testing.assert_allclose(bounds.torque(q, v, a).values, predicted.values, rtol=1e-9, atol=1e-9)
+        rows = predicted.to_dataframe().pivot(index="sample", columns="channel", values="high")
+        np.testing.assert_array_equal(rows[list(predicted.channel_names)].to_numpy(), predicted.high)
         np.testing.assert_allclose(bounds.values, estimate.estimate.solution, rtol=1e-9, atol=1e-12)
 
 

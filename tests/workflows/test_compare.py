@@ -252,6 +252,18 @@ def test_what_identify_warns_of_in_the_model_is_warned_of_here(robot):
     assert [w for w in bayesid.compare(late, ["wls"]).warnings if "subtract the start" in w]
 
 
+def test_what_every_estimator_leaves_is_told(robot):
+    """Where `identify` said that something is missing, a comparison of the same fits said nothing."""
+    lacking, complete = made(robot), made(robot)
+    motions = tuple(
+        replace(m, table=replace(m.table, wrench=m.table.wrench + np.sin(3.0 * m.table.positions[:, :1]) * 2.0))
+        for m in lacking.motions
+    )
+    told = [w for w in bayesid.compare(replace(lacking, motions=motions), ["ols", "wls"]).warnings if w.startswith("By the best")]
+    assert len(told) == 1 and "something is missing in the model" in told[0]
+    assert not any(w.startswith("By the best") for w in bayesid.compare(complete, ["ols", "wls"]).warnings)
+
+
 def test_differences_are_counted_in_sigmas_of_the_reference(compared):
     assert compared.reference == "wls"
     pair = next(g for g in compared.gaps if (g.first, g.second) == ("ols", "gls"))

@@ -34,6 +34,13 @@ def test_rotors_that_the_model_lacks_are_named(geared, method):
     assert "the rotors of the drives seem to be missing" in line and "'m1'" in line
 
 
+def test_rotors_of_some_joints_alone_are_told_as_well(geared):
+    """A diagnosis names those that are told from links; what the others add to these made links of 1.5 times the mass."""
+    result = bayesid.identify(geared, effects=[f"rotor_inertia@joint{k}" for k in (3, 4, 5, 6)])
+    (line,) = (w for w in result.warnings if "of the others seems to be missing" in w)
+    assert "Put rotor_inertia, of all, in place of rotor_inertia@joint" in line and not result.urdf.usable
+
+
 def test_nothing_is_said_with_them_in_the_model(geared):
     result = bayesid.identify(geared, effects=["rotor_inertia"])
     assert not told(result)
