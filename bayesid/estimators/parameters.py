@@ -98,12 +98,16 @@ class Parameters(ByName):
         raise KeyError(f"no parameter is called {name!r}; there are {'; '.join(self.labels)}")
 
     def to_dataframe(self) -> DataFrame:
-        """A row a parameter: ``name``, ``label``, ``value``, ``std``, ``low``, ``high``, ``unit``, ``class``."""
+        """A row a parameter: ``name``, ``label``, ``value``, ``std``, ``low``, ``high``, ``unit``, ``class``.
+
+        An effect's name is its label: an offset that holds weight is not that without, which other tables have.
+        """
         from pandas import DataFrame
 
+        each = zip(self.names, self.labels, self.classes, strict=True)
         return DataFrame(
             {
-                "name": list(self.names), "label": list(self.labels),
+                "name": [label if kind == "effect" else name for name, label, kind in each], "label": list(self.labels),
                 "value": self.values, "std": self.std, "low": self.low, "high": self.high,
                 "unit": list(self.units), "class": list(self.classes),
             }

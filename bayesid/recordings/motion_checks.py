@@ -35,11 +35,11 @@ _WRAP = 0.5
 
 
 def wraps(times: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
-    """Turns in each step of an angle (N - 1,); zeros where it nowhere wraps within a sample."""
+    """Turns in each step of an angle (N - 1,); zeros where it nowhere wraps, by one turn, within a sample."""
     steps = np.diff(q)
     turns = np.round(steps / TURN)
     gap = np.diff(times) > GAP * step
-    within = (turns != 0.0) & (np.abs(steps - TURN * turns) < _WRAP) & ~gap
+    within = (np.abs(turns) == 1.0) & (np.abs(steps - TURN * turns) < _WRAP) & ~gap
     if not within.any():
         return np.zeros(len(steps))
     return np.where(within | gap, turns, 0.0)

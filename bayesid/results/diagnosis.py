@@ -35,7 +35,7 @@ from bayesid.rounding import DASH, HALF, channel_text, ends, number, percent, un
 from bayesid.section import Part, ShownTable, as_html, powers
 from bayesid.simulation.trajectories import write_trajectory
 from bayesid.validation.own_fit import MotionErrors, Shift
-from bayesid.validation.prediction import Prediction
+from bayesid.validation.prediction import Prediction, leaves_more
 
 #: What stands for a value that the data leave open.
 NOT_DETERMINED = "not determined"
@@ -290,6 +290,10 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     names = [f"{placed(f.term.effect, d.data.robot)} ({f.term.effect.summary})" for f in d.found]
     if d.verdict == "nothing_missing" and not d.data.floor_known:
         return "Nothing of the library is missing that these motions could show; anything else may be: the noise is not known."
+    if d.verdict == "nothing_missing" and (more := [e.last for e in d.errors if leaves_more(e.last)]):
+        worst = max(more, key=lambda p: p.whitened_rms)
+        stays = f"{_times(worst)} times the noise stays on ‘{worst.motion}’"
+        return f"Nothing of the library is missing that these motions could show; yet in a fit of all readings {stays}."
     if d.verdict == "nothing_missing":
         return "Nothing is missing that these motions could show: the model as it is explains the readings down to their noise."
     if d.verdict == "unknown":

@@ -357,10 +357,8 @@ class LoadedBounds(_WithParameters):
         return self.document["rho_V"]
 
     def to_dataframe(self) -> DataFrame:
-        """A row a parameter of the joint torques, with the columns of ``parameters`` in ``bounds.json``."""
-        from pandas import DataFrame
-
-        return DataFrame(self._torques["parameters"])
+        """A row a parameter of the joint torques, as `ControllerBounds.to_dataframe`."""
+        return _parameters(self._torques["parameters"], LEVEL).to_dataframe()
 
     @property
     def _entries(self) -> Sequence[Mapping[str, Any]]:

@@ -199,8 +199,10 @@ def test_unknown_methods_and_options_are_refused():
         fit(regression, "rigde")
     with pytest.raises(InputError, match="at least 0"):
         fit(regression, Ridge(strength=-1.0))
-    with pytest.raises(InputError, match="give 0 to 4"):
+    with pytest.raises(InputError, match="give a whole number, 0 to 4"):
         fit(regression, TruncatedSVD(rank=9))
+    with pytest.raises(InputError, match="rank = 2.5: give a whole number"):
+        fit(regression, TruncatedSVD(rank=2.5))  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="choose one of"):
         fit(regression, LeastSquares("x", "wrong"))
 

@@ -16,7 +16,7 @@ import pytest
 import bayesid
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment
-from bayesid.recordings.motion_checks import Timing
+from bayesid.recordings.motion_checks import Timing, wraps
 from bayesid.recordings.table import Table
 from bayesid.recordings.writer import write_experiment
 from tests.malformed import DATA, FOLDERS, cell, table, toml, urdf, write_good
@@ -324,6 +324,13 @@ def test_an_angle_that_wraps_is_unwrapped_and_told_once(folder: Path) -> None:
     assert [f.text for f in experiment.findings] == list(experiment.warnings) and len(experiment.warnings) == 2
     told = experiment.warnings[0]
     assert told.startswith("identification.csv: columns q1, q2: shoulder, elbow") and "unwrapped" in told
+
+
+def test_a_spike_of_many_turns_is_no_wrap() -> None:
+    """One row of 3.1e5 rad was unwrapped to "the same poses", and never told."""
+    t = 0.01 * np.arange(100)
+    spike = np.where(np.arange(100) == 50, 3.1e5, np.sin(t))
+    assert not wraps(t, spike, 0.01).any() and wraps(t, np.mod(4.0 * t + 3.0, 2.0 * np.pi), 0.01).sum() == -1.0
 
 
 def test_a_whole_turn_outside_the_limits_is_taken_off(folder: Path) -> None:

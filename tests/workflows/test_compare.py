@@ -176,6 +176,8 @@ def test_weight_that_looks_like_an_offset_is_told_from_it(compared, heavier, tmp
         labels = found["wls"].parameters().labels[-6:]
         assert labels == [f"sensor_offset@sensor.{a}{' + weight' * (a == 'fz')}" for a in ("fx", "fy", "fz", "mx", "my", "mz")]
         links = 1.2 * heavier.robot.nominal.ravel()
+        table = found.to_dataframe()
+        assert table[table["method"] == "wls"]["name"].tolist()[-6:] == labels  # `identify` has the offset alone by that name
         np.testing.assert_allclose(found["wls"].solution[-6:], 3.0 + found["wls"].base.absorbed @ links, atol=0.1)
 
 
