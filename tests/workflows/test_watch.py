@@ -89,7 +89,7 @@ def test_what_cannot_be_compared_is_told_in_its_place(series, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("duration", "rate", "says"), [(0.6, 60.0, "10 numbers leave no residual"), (1.0, 25.0, "14 parameters for 16 numbers")]
+    ("duration", "rate", "says"), [(0.6, 60.0, "10 numbers leave no residual"), (1.0, 25.0, "16 parameters for 16 numbers")]
 )
 def test_recordings_that_are_too_short_are_refused_in_one_line(duration, rate, says, series):
     path = [bayesid.fourier_trajectory(series[0].robot, duration=duration, rate=rate, seed=1, harmonics=2, fundamental=0.5)]

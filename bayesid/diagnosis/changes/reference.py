@@ -126,8 +126,8 @@ class ReferenceAmplitudes:
         return sizes * mean, sizes[:, None] * np.hstack([axes[:, ~keep], seen])
 
 
-#: Friction that every joint has, fitted along whether the model states it or not.
-_FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
+#: What every drive has, friction and a rotor, fitted along whether the model states it or not.
+_DRIVES = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class Reference:
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """The effects of the model, friction of every joint included."""
+        """The effects of the model, friction and the rotor of every joint included."""
         return self.problem.row_model.effects
 
     @property
@@ -238,14 +238,14 @@ def with_bodies(experiment: Experiment) -> Experiment:
 def learn_reference(
     experiment: Experiment, channel: str | None = None, effects: Sequence[str] | None = None, bandwidth: float | None = None
 ) -> Reference:
-    """Fit links, friction of every joint and the model's own effects to a robot in its known state.
+    """Fit links, friction and rotors of the joints and the model's own effects to a robot in its known state.
 
     ``channel`` and ``bandwidth`` [Hz] are by default chosen as for `bayesid.identify`; ``effects`` replace ``[model] effects``,
-    and friction of every joint comes along for torques. An `InputError` where it cannot be fitted.
+    and what every drive has comes along for torques. An `InputError` where it cannot be fitted.
     """
     experiment = with_bodies(experiment)
     own = list(experiment.effects if effects is None else effects)
-    problem = prepare(experiment, FitOptions(channel, effects=[*own, *_FRICTION], bandwidth=bandwidth))
+    problem = prepare(experiment, FitOptions(channel, effects=[*own, *_DRIVES], bandwidth=bandwidth))
     problem, estimate = solve(problem, "wls")
     if estimate.full_covariance is None:
         raise InputError(
