@@ -70,12 +70,13 @@ class Changes(ShownResult):
     @property
     def model(self) -> tuple[tuple[str, ...], EffectParameters]:
         """The reference's model with the named changes: effects that came are fixed, for links could take them up again."""
-        c = self.comparison
-        _, values = fitted_model(self.experiment, (), c.terms)
-        for term in c.terms:
-            if term.effect not in c.reference.effects:
-                values[term.effect.spec]["fixed"] = True
-        return tuple(t.effect.spec for t in c.terms), values
+        known = self.comparison.reference
+        came = [t for t in self.comparison.terms if t.effect not in known.effects]
+        terms = [t for t in self.comparison.terms if t.effect in known.effects and known.hands_on(t.effect)] + came
+        _, values = fitted_model(self.experiment, (), terms)
+        for term in came:
+            values[term.effect.spec]["fixed"] = True
+        return tuple(t.effect.spec for t in terms), values
 
     def __repr__(self) -> str:
         c = self.comparison

@@ -301,6 +301,7 @@ def test_friction_that_differs_is_told_where_it_has_no_name(arm):
     assert "friction and gains are within" in str(same) and "friction and gains are within" not in str(found)
     assert "No change is named since ‘test’, but friction differs" in str(found)
     assert [f["name"] for f in found.to_dict()["friction"]] == [v.name for v in found.comparison.wandered]
+    assert not any("rotor" in spec for spec in found.model[0])  # fitted to the reference along, and no part of the user's model
     for result in (same, found):
         assert any("its model leaves" in text and "the reference alone" in text for text in result.remarks)
 

@@ -135,6 +135,7 @@ class Reference:
     """A robot in its known state."""
 
     problem: Problem  # the fit to the reference recording
+    own: frozenset[str] = frozenset()  # names of the effects that the user's model has
 
     @property
     def robot(self) -> Robot:
@@ -145,6 +146,13 @@ class Reference:
     def effects(self) -> tuple[Effect, ...]:
         """The effects of the model, friction and the rotor of every joint included."""
         return self.problem.row_model.effects
+
+    def hands_on(self, effect: Effect) -> bool:
+        """Whether a model of the later recording has this effect.
+
+        Of rotors that the user's model does not have, most are told from links in no recording: these hold them as before.
+        """
+        return effect.name in self.own or not all(p.lasting for p in effect.quantities)
 
     @property
     def solution(self) -> np.ndarray:
@@ -251,4 +259,4 @@ def learn_reference(
         raise InputError(
             f"{argument('reference', experiment.name)}: nothing says how sure its fit is, for {estimate.interval_reason}"
         )
-    return Reference(problem)
+    return Reference(problem, frozenset(spec.split("@")[0] for spec in own))
