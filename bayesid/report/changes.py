@@ -176,8 +176,8 @@ def watch_report(result: Watch) -> str:
             result.table,
             note("“Residual over own fit”: what the reference leaves on segments held out in turn, in units of what the "
                  "recording's own fit of the same model leaves; 1 is no difference at all. Friction of every joint may differ by "
-                 f"{percent(FRICTION_SHARE, 2)} and drive gains by {percent(GAIN_SHARE, 2)} before anything is named. “x noise”: what the reference's own "
-                 "[model] leaves, without the friction that is fitted along here."),
+                 f"{percent(FRICTION_SHARE, 2)} and drive gains by {percent(GAIN_SHARE, 2)} before anything is named. "
+                 "“x noise”: what the reference's own [model] leaves, without the friction that is fitted along here."),
         ]),
         ShownSection("The course", [
             figure(svg(gap_figure(result), "gap"), "Friction that wanders with warmth raises it, too."),

@@ -500,7 +500,7 @@ def test_what_the_reference_keeps_stays_fixed_in_the_model_that_is_written(arm):
     effects = EffectLibrary().parse(["coulomb_friction@joint1", "viscous_friction"], names, ["tau1", "tau2"])
     made = SimpleNamespace(effect_values=stated, robot=replace(arm, joint_names=tuple(names)))
     compared = SimpleNamespace(
-        terms=[Term(e, (4.0,)) for e in effects], reference=SimpleNamespace(effects=effects),
+        terms=[Term(e, (4.0,)) for e in effects], reference=SimpleNamespace(effects=effects, hands_on=lambda effect: True),
         recording=SimpleNamespace(problem=SimpleNamespace(experiment=made)),
     )  # fmt: skip
     _, values = Changes(cast(ReferenceComparison, compared)).model
