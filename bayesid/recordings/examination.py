@@ -302,7 +302,7 @@ def examine(motion: Motion, robot: Robot, resolution: float | None, place: str) 
     if motion.kind == "trajectory":
         held = held_columns(table)
         findings += held_findings(table, held)
-        doubts += check_trajectory(table, robot, resolution, held)
+        doubts += check_trajectory(table, robot, resolution, held, None if motion.stored is None else motion.stored.gap_times)
     doubts += check_intervals(table, place, motion.period, motion.parked, resolution)
     if static is not None:
         check_static(table, static, resolution)

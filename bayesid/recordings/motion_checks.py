@@ -159,12 +159,19 @@ _WINDOW = 5  # samples before and after a place over which a speed is taken
 _SLOW = 0.2  # share of a joint's usual top speed above which it moves for certain
 
 
-def check_trajectory(table: Table, robot: Robot, resolution: float | None, held: Collection[str] = ()) -> list[str]:
+def check_trajectory(
+    table: Table,
+    robot: Robot,
+    resolution: float | None,
+    held: Collection[str] = (),
+    gaps: Sequence[tuple[float, float]] | None = None,
+) -> list[str]:
     """Check a motion sampled in time: steps, velocities, encoders, and channels that stall or clip.
 
     ``resolution`` is one encoder count [rad or m], ``held`` columns whose samples are known to be held: that their values
-    repeat is no doubt of its own. An `InputError` where samples are too few, time is in another unit than seconds, or
-    velocities are not those of the positions.
+    repeat is no doubt of its own. ``gaps`` are start and end of those [s] of the recording that the table has pieces of; by
+    default the table is whole. An `InputError` where samples are too few, time is in another unit than seconds, or velocities
+    are not those of the positions.
     """
     if len(table) < MIN_SAMPLES:
         raise InputError(
@@ -177,7 +184,7 @@ def check_trajectory(table: Table, robot: Robot, resolution: float | None, held:
             'kind = "poses" if each row is a pose at rest'
         )
     stalled = _stalled(table)
-    warnings = [*_steps(table), *([] if held else _stalls(table, stalled))]
+    warnings = [*_steps(table, gaps), *([] if held else _stalls(table, stalled))]
     warnings += check_velocities(table, robot)
     for j in range(robot.n):
         warnings += _jumps(table, robot, j)
@@ -199,23 +206,24 @@ def _clock(table: Table) -> str:
     return f"t seems to be in {unit}{since}, steps of {table.step / _CLOCKS[unit]:.3g} s"
 
 
-def _steps(table: Table) -> list[str]:
-    gaps = np.flatnonzero(table_steps(table) > GAP * table.step)
-    start = f"{table.source}: column t: "
+def _steps(table: Table, gaps: Sequence[tuple[float, float]] | None) -> list[str]:
+    if gaps is None:
+        gaps = [(table.times[k], table.times[k + 1]) for k in np.flatnonzero(table_steps(table) > GAP * table.step)]
+    column = f"{table.source}: column t: "
     timing, uneven = Timing.of(table), []
     if timing.jitter > REPORTED * table.step:
         uneven.append(
-            f"{start}time stamps jitter by {timing.jitter:.2g} s rms (a step is usually {table.step:.4g} s) and are taken as "
+            f"{column}time stamps jitter by {timing.jitter:.2g} s rms (a step is usually {table.step:.4g} s) and are taken as "
             "true times; if the samples were taken evenly, write even times"
         )
     if abs(timing.last_step - timing.first_step) > REPORTED * table.step:
         uneven.append(
-            f"{start}steps drift from {timing.first_step:.4g} to {timing.last_step:.4g} s and are taken as they are; "
+            f"{column}steps drift from {timing.first_step:.4g} to {timing.last_step:.4g} s and are taken as they are; "
             "if the rate was constant, write even times"
         )
     said = []
     if len(gaps):
-        said.append(f"gap at {listed([f'{table.times[k]:.6g} to {table.times[k + 1]:.6g} s' for k in gaps], 3)}")
+        said.append(f"gap at {listed([f'{start:.6g} to {end:.6g} s' for start, end in gaps], 3)}")
     if timing.dropped:
         of, which = ("1 sample is", "") if timing.dropped == 1 else (f"{timing.dropped} samples are", "the first ")
         first = table.times[np.flatnonzero(timing.missing)[0]]
@@ -224,7 +232,7 @@ def _steps(table: Table) -> list[str]:
         return uneven
     apart = "the pieces between gaps are treated apart, too short ones left out, " * bool(len(gaps))
     remedy = f"check the logger; or did `{call('import')}` leave rows out?"
-    return [*uneven, f"{start}{'; '.join(said)} (a step is usually {table.step:.4g} s); {apart}{remedy}"]
+    return [*uneven, f"{column}{'; '.join(said)} (a step is usually {table.step:.4g} s); {apart}{remedy}"]
 
 
 def _travel(table: Table, velocities: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:

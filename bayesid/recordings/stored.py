@@ -93,6 +93,11 @@ class StoredTable:
         edges = [0, *self.gaps, len(self)]
         return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
+    @property
+    def gap_times(self) -> list[tuple[float, float]]:
+        """Start and end of every gap [s]."""
+        return [(float(start), float(end)) for start, end in (self.read(k - 1, k + 1)["t"][:, 0] for k in self.gaps)]
+
     def read(self, first: int, last: int) -> Arrays:
         """Samples first ... last - 1 by group of columns (k, columns), and their times ``t`` (k, 1)."""
         parts = range(int(np.searchsorted(self.starts, first, side="right")) - 1, int(np.searchsorted(self.starts[:-1], last)))

@@ -26,6 +26,7 @@ from bayesid.regression.linalg import or_one
 from bayesid.regression.problem import Problem, pilot_pieces
 from bayesid.regression.row_cache import CACHE_BYTES, few_of, row_count
 from bayesid.regression.rows import make_blocks
+from bayesid.regression.segment import LongSegment
 from bayesid.signals.smoothing import smooth
 
 #: Band in which predictions are compared, the same whatever filter or method was used [Hz].
@@ -322,7 +323,8 @@ def _blocks(problem: Problem, motions: Sequence[str]) -> Iterable[Block]:
     """Blocks of moving rows without the paper's filters: a pilot of the fitted motions, pieces of other long ones."""
     row_model, segments = problem.row_model, [s for name in motions for s in problem.segments[name] if not s.poses]
     count, width = row_count(row_model, segments), len(row_model.channels) * row_model.width
-    if row_model.filters is not None or 8 * count * width > CACHE_BYTES:
+    long = any(isinstance(s, LongSegment) for name in motions for s in problem.rows.segments[name])  # the segments are an excerpt
+    if long or row_model.filters is not None or 8 * count * width > CACHE_BYTES:
         pieces = [p for p in pilot_pieces(row_model, segments) if np.ptp(p.inner(row_model.margin)) > 1]
         return make_blocks(replace(row_model, filters=None), pieces)
     fitted = tuple(motions) == problem.fitted

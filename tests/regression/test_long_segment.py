@@ -93,6 +93,17 @@ def test_estimates_agree(folder, small, method):
     assert chunked.validation[0].rmse == pytest.approx(whole.validation[0].rmse, rel=1e-6)
 
 
+@pytest.mark.parametrize("channel", ["wrench", "torque"])
+def test_an_excerpt_s_ends_are_no_gaps_and_its_rows_those_of_the_model(folder, monkeypatch, channel):
+    """Of a recording longer than its excerpt `identify` stopped without a message, and `check` told gaps that are none."""
+    monkeypatch.setattr(stored, "_EXCERPT_ROWS", 8_000)
+    found = bayesid.identify(load(folder, "true"), channel, effects=["coulomb_friction", "viscous_friction"])
+    (told,) = (text for text in found.warnings if "gap at" in text)
+    times = found.problem.experiment.motions[0].stored.gap_times
+    assert len(times) == 1 and told.count(" to ") == 1 and f"gap at {times[0][0]:.6g} to {times[0][1]:.6g} s (" in told
+    assert found.validation[0].whitened_rms < 1.2
+
+
 def test_csv_is_read_as_parquet_is(folder, small, monkeypatch):
     monkeypatch.setattr(stored, "_LINES_BYTES", 1 << 20)
     parquet = load(folder, "true").motions[0].stored
