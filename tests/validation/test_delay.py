@@ -12,6 +12,7 @@ import pytest
 import bayesid
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment
 from bayesid.recordings.table import Table
+from bayesid.validation.mistakes import shifts
 from bayesid.validation.mistakes.shifts import Profile, delay_profile, delayed
 from tests.malformed import DATA, FOLDERS
 from tests.simulated import experiment, fourier, puma2, recording
@@ -55,6 +56,19 @@ def test_a_delay_is_found_with_its_sign_and_size(channel: str, field: str, delay
     assert abs(size - 1e3 * abs(delay)) < max(5.0 * std, 1.0) and abs(1e3 * back - size) < 1.0
     assert found.text.startswith("The positions (q) are" if delay < 0.0 else ("The joint torques", "The wrench"))
     assert max(found.after) < max(found.before)
+
+
+def test_a_delay_that_leaves_most_is_told_with_what_was_tried(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Clocks 3 s apart were told to be 0.316 +- 0.036 s apart: that left 1.4 of 2.4 N, and nothing said how far was looked."""
+    given = shifted(arm, 0.2, "wrench")
+    clear = delay_profile(given, "wrench")
+    assert clear is not None
+    none = clear.left[:, [len(clear.delays) // 2]]
+    for left, told in ((clear.left, False), (0.55 * none + 0.45 * clear.left, True)):
+        monkeypatch.setattr(shifts, "delay_profile", lambda *_, left=left: replace(clear, left=left))
+        found = delayed(given, "wrench")
+        assert found is not None
+        assert found.text.endswith("delays of at most 0.5 s are tried: clocks may be further apart") == told
 
 
 def profile(*delays: float, worth: float = 100.0) -> Profile:

@@ -28,6 +28,7 @@ from bayesid.recordings.toml_file import LARGEST
 
 #: In a table of several topics, a quantity without a reading in most rows has its own, slower times.
 _OWN_TIMES = 0.5
+_SET_BACK = 0.5  # a message that is so much earlier than the one before is late in no transport [s]
 _JUDGED = 200_000  # rows that are looked at for repeated samples
 _REGULAR = 0.9  # share of held positions with a single velocity of which the velocities are differences
 _SAID = {"q": "positions", "v": "velocities", "qr": "positions", "tau": "torques", "f": "forces", "m": "moments"}
@@ -235,7 +236,12 @@ def _usable(clock: RowTimes, values: np.ndarray, what: str, source: str) -> tupl
     if clock.kind == "column":
         check_increasing(times, source, lambda row: f"row {rows[row]}")
     elif back := int((np.diff(times) < 0.0).sum()):
-        notes.append(f"{what}: {back} messages came out of order; sorted by {clock.text}")
+        by, messages = float(-np.diff(times).min()), "message" if back == 1 else "messages"
+        text = f"{what}: {back} {messages} came out of order, by up to {by:.3g} s; sorted by {clock.text}"
+        if by > _SET_BACK:
+            apart = f"{argument('clock', 'log')} keeps them apart"
+            text += f": if that clock was set back, two stretches lie over each other, and {apart}"
+        notes.append(text)
         rows = rows[np.argsort(times, kind="stable")]
     again = np.append(False, np.diff(clock.times[rows]) == 0.0)[: len(rows)]
     if 2 * again.sum() > len(rows):

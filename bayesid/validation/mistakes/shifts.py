@@ -155,6 +155,8 @@ def delayed(experiment: Experiment, channel: str) -> Mistake | None:
         f"motion does not explain of {channels.names[k]} falls from {profile.left[k, none]:.2g} to {profile.left[k, best]:.2g} "
         f"{channels.units[k]} rms; shift the times of {moved} by {-abs(delay):.3f} s and interpolate, or record on one clock"
     )
+    if profile.left[k, best] > 0.5 * profile.left[k, none]:
+        text += f". More than half stays, and delays of at most {profile.delays[-1]:.2g} s are tried: clocks may be further apart"
     return Mistake(
         name=f"{channel}_delay", where="", text=text, channel=channel, evidence=profile.evidence(std),
         before=tuple(map(float, profile.left[:, none])), after=tuple(map(float, profile.left[:, best])),

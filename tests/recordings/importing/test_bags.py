@@ -228,7 +228,20 @@ def test_a_gap_and_stamps_out_of_order_are_told(known, tmp_path):
     imported = bayesid.read_recording(tmp_path / "run", known.urdf)
     _is(imported.experiment.motions[0].table, known, kept)
     assert "1 gap (2.992 to 3.504 s)" in str(imported) or "1 gap (3 to 3.504 s)" in str(imported)
-    assert any("1 messages came out of order" in text for text in imported.recordings[0].recording.done)
+    said = " ".join(imported.recordings[0].recording.done)
+    assert "1 message came out of order, by up to 0.008 s; sorted by stamps of headers" in said and "set back" not in said
+
+
+def test_a_clock_that_was_set_back_is_told_with_the_remedy(known, tmp_path):
+    """Stamps step back by 2 s: two stretches were laid over each other, and the encoder was blamed."""
+    with Bag(tmp_path / "run", "mcap") as bag:
+        for k, ns in enumerate(known.ns):
+            back = 2_000_000_000 if k > len(known.ns) // 2 else 0
+            bag.joints(START + ns - back, JOINTS, known.q[k], known.v[k], known.tau[k], log=START + ns)
+    said = " ".join(bayesid.read_recording(tmp_path / "run", known.urdf).recordings[0].recording.done)
+    assert "came out of order, by up to 1.99 s" in said and 'set back, two stretches lie over each other, and clock="log"' in said
+    kept = bayesid.read_recording(tmp_path / "run", known.urdf, clock="log")
+    assert len(kept.experiment.motions[0].table) == len(known.ns)
 
 
 _CUSTOM = """
