@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -168,6 +169,10 @@ def _units(signal: Signal) -> str:
 
 
 def _span(names: Sequence[str]) -> str:
+    """``tau1 ... tau6``; one by one where numbers between them are not there."""
+    numbers = [int(found[0]) for name in names if (found := re.search(r"\d+$", name))]
+    if len(numbers) == len(names) and numbers != list(range(numbers[0], numbers[0] + len(names))):
+        return ", ".join(names)
     return names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
 
 

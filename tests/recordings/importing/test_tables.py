@@ -18,6 +18,7 @@ import bayesid
 from bayesid.cli import main
 from bayesid.errors import InputError
 from bayesid.recordings.table import WRENCH_COLUMNS, Table
+from bayesid.results.imported import _span
 from tests.recordings.importing.logs import JOINTS, START, Known, make_known
 
 DEGREE = 180.0 / np.pi
@@ -909,3 +910,9 @@ def test_a_refusal_of_the_clock_has_the_logs_own_names(known, tmp_path):
     with pytest.raises(InputError, match=said):
         only(tmp_path / "log.csv", known, joints=JOINTS)
     np.testing.assert_allclose(only(tmp_path / "log.csv", known, joints=JOINTS, units={"t": "ms"}).times, known.t, rtol=1e-12)
+
+
+def test_columns_between_which_one_is_missing_are_told_one_by_one():
+    """Torques of joints 1 and 3 were "tau1 ... tau3"."""
+    assert _span(["tau1", "tau2", "tau3"]) == "tau1 ... tau3" and _span(["tau1", "tau3"]) == "tau1, tau3"
+    assert _span(["effort[0]", "effort[2]"]) == "effort[0] ... effort[2]" and _span(["q4"]) == "q4"
